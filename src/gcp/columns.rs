@@ -112,7 +112,9 @@ fn columns_of(titles: Vec<String>, tidied: &[String], plan: Plan) -> Columns {
     let name = find(NAMES).filter(|i| is_free(i) && Some(*i) != height);
     // MicMac calls the name N, before X, Y and Z.
     let micmac = || tidied.iter().position(|title| title == "n").filter(|_| order == ColumnOrder::Assumed);
-    let name = name.or_else(micmac);
+    // Turkish nokta no; elsewhere a level.
+    let turkish = || (tidied[0] == "nn" && height.is_some_and(|at| at != 0)).then_some(0).filter(is_free);
+    let name = name.or_else(micmac).or_else(turkish);
     // One of them alone may be a serial number or a signal's height; MicMac's Ix and Iy without Iz may be pixels.
     let both = [find(SIGMA_EASTS), find(SIGMA_NORTHS)];
     let is_pixel = |at: &Option<usize>| at.is_some_and(|at| tidied[at] == "ix") && find(&["iz"]).is_none();
@@ -312,6 +314,9 @@ impl Columns {
         let no_number = |text: &str, what: &str| {
             let remedy = match angle(text) {
                 Some(_) if what != "height" => "it is an angle: call the columns `lon` and `lat`",
+                _ if text::number(text.trim_end_matches(char::is_alphabetic)).is_some() => {
+                    "write the unit into the title, as in `Height (m)`"
+                }
                 _ => "correct or remove the row",
             };
             Error::format(path, &place, format!("`{text}` is no number for the {what}; {remedy}"))
@@ -334,7 +339,19 @@ impl Columns {
             if self.geographic {
                 self.refuse_other_letter(path, &place, (column, text), own)?;
             }
-            self.number(text).ok_or_else(|| no_number(text, what))
+            // What counts larger steps is no coordinate, and refused as such.
+            const ROUNDED: std::ops::RangeInclusive<f64> = 10.0..=1e6;
+            let value = self.number(text).ok_or_else(|| no_number(text, what))?;
+            match rounded_to(text).filter(|unit| ROUNDED.contains(unit) && !self.geographic) {
+                Some(unit) => {
+                    let what = format!(
+                        "`{text}` is rounded to {unit}, as spreadsheets show large numbers; give the {what} its \
+                         decimals (format the cells as numbers and save again)"
+                    );
+                    Err(Error::format(path, &place, what))
+                }
+                None => Ok(value),
+            }
         };
         let height = match self.height.and_then(text) {
             Some(text) if heights::says_none(text) => Some(f64::NAN),
@@ -397,6 +414,13 @@ impl Columns {
         };
         Err(Error::format(path, place, what))
     }
+}
+
+/// What the last digit of a number with an exponent counts: 1000 of `5.98E+05`.
+fn rounded_to(text: &str) -> Option<f64> {
+    let (digits, power) = text.trim().trim_matches('"').split_once(['e', 'E'])?;
+    let decimals = digits.rsplit_once(['.', ',']).map_or(0, |(_, decimals)| decimals.len());
+    Some(10f64.powi(power.parse::<i32>().ok()?.saturating_sub(i32::try_from(decimals).ok()?)))
 }
 
 /// Whether every row has another value in this column; rows that are alike in all their cells are one.

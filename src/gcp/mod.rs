@@ -21,6 +21,7 @@ mod dxf;
 mod geojson;
 mod headerless;
 mod heights;
+mod idx;
 mod image_crs;
 mod instruments;
 mod kof;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::gcp::convert::ListFormat;
 use crate::gcp::raw::RawList;
-use crate::gcp::{csv_list, geojson, instruments, kof, odm, ogr, qgis, text, tracks, xml};
+use crate::gcp::{csv_list, geojson, idx, instruments, kof, odm, ogr, qgis, text, tracks, xml};
 use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 
@@ -95,7 +95,7 @@ fn parse_as(path: &Path, text: &str, format: ListFormat) -> Result<RawList> {
         ListFormat::Pix4d => csv_list::parse_pix4d(path, &lines),
         _ => {
             tracks::refuse(path, &lines)?;
-            csv_list::parse(path, &lines)
+            idx::parse(path, &lines).unwrap_or_else(|| csv_list::parse(path, &lines))
         }
     }
 }

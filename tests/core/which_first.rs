@@ -197,3 +197,24 @@ fn rows_that_are_cut_otherwise_and_what_excel_is_told() {
         assert_eq!(list.gcps[0].name, "A");
     }
 }
+
+#[test]
+fn numbers_that_a_spreadsheet_rounded_are_refused() {
+    let error = read("l.csv", "id;east;north\nP1;5,98E+05;6,64E+06\nP2;5,98E+05;6,64E+06\n", "EPSG:25832", None);
+    says(&error.expect_err("rounded"), &["row 2", "`5,98E+05` is rounded to 1000", "save again"]);
+    let list = read("l.csv", "id;east;north\nP1;5.979662E+05;6.6431659E+06\nP2;5.98E5;6.6431E6\n", "local", None);
+    says(&list.expect_err("the second"), &["row 3"]);
+    let whole = "id;east;north\nP1;5.979662E+05;6.6431659E+06\nP2;5.980662E+05;6.6432659E+06\n";
+    assert_eq!(read("l.csv", whole, "EPSG:25832", None).expect("all digits").gcps[0].easting, 597_966.2);
+    let error = read("l.csv", "id;east;north\nP1;1,5 m;2,5 m\nP2;2,5 m;3,5 m\n", "local", None).expect_err("units");
+    says(&error, &["row 2", "the unit into the title"]);
+}
+
+#[test]
+fn turkish_names() {
+    for title in ["NN", "N.N"] {
+        let text = format!("{title}\tY\tX\tH\nA\t500123.4\t4420123.4\t900\nB\t500223.4\t4420223.4\t901\n");
+        let list = read("l.txt", &text, "EPSG:5253", None).expect("read");
+        assert_eq!((list.gcps[0].name.as_str(), list.gcps[0].height), ("A", Some(900.0)));
+    }
+}

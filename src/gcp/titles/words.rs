@@ -37,7 +37,7 @@ pub(in crate::gcp) const NAMES: &[&str] = &[
     "piste nro", "pisteen nimi", "pistetunnus", "tunnus", "pnro", "punkti nr", "punkti nimi", "punkts",
     "punkta nr", "nosaukums", "punktas", "punkto nr", "pavadinimas",
     // Turkish, Greek.
-    "nokta", "nokta no", "nokta adi", "nokta ismi", "nokta numarasi", "n no", "ονομα", "σημειο", "ονομα σημειου",
+    "nokta", "nokta no", "nokta adi", "nokta ismi", "nokta numarasi", "n no", "n n", "ονομα", "σημειο", "ονομα σημειου",
     "αρ σημειου", "αριθμοσ σημειου", "κωδικοσ σημειου",
     // Russian, Ukrainian, Bulgarian, Serbian.
     "название", "имя", "имя точки", "точка", "номер точки", "no точки", "название точки", "имя пункта", "пункт",
