@@ -11,7 +11,9 @@ use autoref_flight::start::Track;
 use nalgebra::{Rotation3, Vector3};
 
 mod drawn;
+mod normalised;
 use drawn::{Draw, block, noisy, shaken};
+use normalised::Normalised;
 
 /// Numbers that every run draws alike (SplitMix64), uniform and normal.
 /// Some frames of a model in a datum of their own, with the ties that two of them see.
@@ -171,7 +173,7 @@ fn covariances_cover_the_errors() {
     let trials = if std::env::var_os("AUTOREF_LARGE").is_some() { 400 } else { 60 };
     let mut draw = Draw(11);
     let (truth, points) = block(&mut draw, 4, 60, 8);
-    let mut sums = [(0.0, 0usize); 4];
+    let mut sums = Normalised::default();
     for _ in 0..trials {
         let (mut start, mut seen) = (truth.clone(), points.clone());
         noisy(&mut draw, &mut start, &mut seen, 0.7, 25.0);
@@ -184,29 +186,9 @@ fn covariances_cover_the_errors() {
         };
         // Huber at 3σ hardly touches normal errors.
         let found = adjust(&start, &seen, &options).expect("adjusted");
-        let mut add = |k: usize, error: f64, sigma: f64| {
-            sums[k].0 += (error / sigma).powi(2);
-            sums[k].1 += 1;
-        };
-        for (a, b) in found.photographs.iter().zip(&truth.photographs) {
-            let c = a.covariance.expect("the datum is fixed");
-            let turn = Rotation3::from_matrix_unchecked(a.pose.rotation * b.pose.rotation.transpose()).scaled_axis();
-            for i in 0..3 {
-                add(0, turn[i], c[(i, i)].sqrt());
-                add(1, a.pose.centre[i] - b.pose.centre[i], c[(i + 3, i + 3)].sqrt());
-            }
-        }
-        for (p, s) in &found.interior_sigmas[0] {
-            add(2, found.cameras[0].get(*p) - truth.cameras[0].get(*p), *s);
-        }
-        for (a, b) in found.points.iter().zip(&points) {
-            let c = a.covariance.expect("the datum is fixed");
-            for i in 0..3 {
-                add(3, a.xyz[i] - b.xyz[i], c[(i, i)].sqrt());
-            }
-        }
+        assert!(sums.add(&found, &truth, &points), "the datum is fixed");
     }
-    let rms: Vec<f64> = sums.iter().map(|(s, n)| (s / *n as f64).sqrt()).collect();
+    let rms = sums.rms();
     eprintln!("{trials} trials: normalised errors of directions, positions, interior, points: {rms:.3?}");
     let tolerance = if trials >= 400 { 0.1 } else { 0.2 };
     assert!(rms.iter().all(|r| (r - 1.0).abs() < tolerance), "{rms:?}");

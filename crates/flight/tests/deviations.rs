@@ -1,11 +1,12 @@
 //! Stated deviations of drawn blocks: of ties that few frames see, whose errors are not normal, or that err together.
 
-use autoref_flight::adjust::{AdjustOptions, Adjustment, GroundPoint, adjust};
+use autoref_flight::adjust::{AdjustOptions, adjust};
 use autoref_flight::read::Reconstruction;
-use nalgebra::Rotation3;
 
 mod drawn;
+mod normalised;
 use drawn::{Draw, block, noisy, shaken};
+use normalised::Normalised;
 
 /// How ties err.
 #[derive(Clone, Copy, Debug)]
@@ -23,46 +24,6 @@ enum Erring {
 /// Trials where nobody asks for many, and where somebody does.
 fn trials(few: usize, many: usize) -> usize {
     if std::env::var_os("AUTOREF_LARGE").is_some() { many } else { few }
-}
-
-/// Sums of squares of errors over stated deviations, and how many: of directions, positions, interior and points.
-#[derive(Default)]
-struct Normalised([(f64, usize); 4]);
-
-impl Normalised {
-    /// Whether deviations were stated at all.
-    fn add(&mut self, found: &Adjustment, truth: &Reconstruction, points: &[GroundPoint]) -> bool {
-        if found.photographs.iter().any(|a| a.covariance.is_none()) {
-            assert!(found.notes.iter().any(|note| note.contains("no covariances")), "{:?}", found.notes);
-            return false;
-        }
-        let mut add = |k: usize, error: f64, sigma: f64| {
-            self.0[k].0 += (error / sigma).powi(2);
-            self.0[k].1 += 1;
-        };
-        for (a, b) in found.photographs.iter().zip(&truth.photographs) {
-            let c = a.covariance.expect("all frames have one");
-            let turn = Rotation3::from_matrix_unchecked(a.pose.rotation * b.pose.rotation.transpose()).scaled_axis();
-            for i in 0..3 {
-                add(0, turn[i], c[(i, i)].sqrt());
-                add(1, a.pose.centre[i] - b.pose.centre[i], c[(i + 3, i + 3)].sqrt());
-            }
-        }
-        for (p, s) in &found.interior_sigmas[0] {
-            add(2, found.cameras[0].get(*p) - truth.cameras[0].get(*p), *s);
-        }
-        for (a, b) in found.points.iter().zip(points) {
-            let c = a.covariance.expect("the datum is fixed");
-            for i in 0..3 {
-                add(3, a.xyz[i] - b.xyz[i], c[(i, i)].sqrt());
-            }
-        }
-        true
-    }
-
-    fn rms(&self) -> [f64; 4] {
-        self.0.map(|(sum, n)| (sum / n as f64).sqrt())
-    }
 }
 
 /// Most ties are seen by two frames, as matchers leave them.
