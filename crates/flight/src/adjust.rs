@@ -21,7 +21,7 @@ use self::outcome::End;
 use self::screening::Screened;
 use self::snooping::Snooped;
 use crate::bundle::{
-    ANY_FOCAL, BundleCamera, BundleFrame, BundlePoint, Deviations, Loss, Observation, Options, Problem, Summary,
+    BundleCamera, BundleFrame, BundlePoint, Deviations, FROM_NEAR, Loss, Observation, Options, Problem, Summary,
     Treatment, Trust, solve,
 };
 use crate::camera::{Camera, Parameter};
@@ -185,7 +185,8 @@ fn adjust_all(
         o.trust = Trust::Robust;
     }
     let positions_aside = if control.is_empty() { positions::set_aside(&mut problem) } else { Vec::new() };
-    let robust = Options { loss: Loss::Huber(2.0), most_iterations: 60, least_gain: 1e-8, focal_px: ANY_FOCAL };
+    let loss = Loss::Huber(2.0);
+    let mut robust = Options { loss, most_iterations: 60, least_gain: 1e-8, ..Options::default() };
     let mut screened = Screened::default();
     screened.screen_rays(&mut problem, ties, screening::MONSTROUS);
     screened.screen(&mut problem, ties, screening::MONSTROUS);
@@ -193,6 +194,7 @@ fn adjust_all(
         snooping::hold(&mut problem, ties, &control);
         snooping::hold_frames(&mut problem);
         solve(&mut problem, &robust)?;
+        robust.damping = FROM_NEAR;
         let passed_by = screened.screen_rays(&mut problem, ties, screening::GROSS);
         if !screened.screen(&mut problem, ties, screening::GROSS) && !passed_by {
             break;

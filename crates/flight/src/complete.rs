@@ -12,7 +12,8 @@ use nalgebra::Vector3;
 
 use crate::adjust::by_poses;
 use crate::bundle::{
-    ANY_FOCAL, BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Summary, Trust, solve,
+    ANY_FOCAL, BundleCamera, BundleFrame, BundlePoint, FROM_AFAR, Loss, Observation, Options, Problem, Summary, Trust,
+    solve,
 };
 use crate::error::Result;
 use crate::intersect::intersect_seen;
@@ -252,7 +253,8 @@ fn drawn_pose(block: &Reconstruction, seen: &[([f64; 2], Vector3<f64>)]) -> Opti
     (agreeing(&pose, near_px) >= LEAST_SEEN).then_some(pose)
 }
 
-const ROBUST: Options = Options { loss: Loss::Cauchy(2.0), most_iterations: 60, least_gain: 1e-6, focal_px: ANY_FOCAL };
+const ROBUST: Options =
+    Options { loss: Loss::Cauchy(2.0), most_iterations: 60, least_gain: 1e-6, focal_px: ANY_FOCAL, damping: FROM_AFAR };
 
 /// Ties of the frames that were added: to points that are known, and new ones where rays meet.
 fn tie(

@@ -6,9 +6,7 @@
 use nalgebra::Vector3;
 
 use crate::adjust::{GroundPoint, Role, RoughPose};
-use crate::bundle::{
-    ANY_FOCAL, BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Trust, solve,
-};
+use crate::bundle::{BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Options, Problem, Trust, solve};
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::intersect::intersect;
@@ -94,7 +92,7 @@ pub fn from_rough(
         }
         // Once the poses are near, what is far off counts for nothing.
         let loss = if sigma_px > 5.0 { Loss::Huber(2.0) } else { Loss::Cauchy(2.0) };
-        solve(&mut problem, &Options { loss, most_iterations: 60, least_gain: 1e-6, focal_px: ANY_FOCAL })?;
+        solve(&mut problem, &Options { loss, most_iterations: 60, least_gain: 1e-6, ..Options::default() })?;
         poses = problem.frames.iter().map(|f| f.pose).collect();
         let mut worst = vec![0.0f64; problem.points.len()];
         for o in &problem.observations {

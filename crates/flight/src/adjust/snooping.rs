@@ -6,8 +6,8 @@ use super::astray::Astray;
 use super::screening::{GROSS, Screened};
 use super::{AdjustOptions, AdjustedPoint, Blunder, GroundPoint, Role};
 use crate::bundle::{
-    BundleFrame, Deviations, Ended, Factored, Loss, Moved, Observation, Options, Problem, Summary, Treatment, factor,
-    solve,
+    BundleFrame, Deviations, Ended, FROM_NEAR, Factored, Loss, Moved, Observation, Options, Problem, Summary,
+    Treatment, factor, solve,
 };
 use crate::camera::Parameter;
 use crate::error::{Error, Result};
@@ -36,7 +36,8 @@ pub(super) fn snoop(
     options: &AdjustOptions,
     screened: &mut Screened,
 ) -> Result<Snooped> {
-    let solving = Options { loss: LOSS, ..Options::default() };
+    // The block comes from a minimum, of other weights or with a measurement more.
+    let solving = Options { loss: LOSS, damping: FROM_NEAR, ..Options::default() };
     let mut blunders = Vec::new();
     loop {
         refuse_most(control, &blunders, screened, ties)?;

@@ -5,6 +5,7 @@
 //! stored as a skyline, and damped after Levenberg and Marquardt (Triggs et al., *Bundle Adjustment — A Modern
 //! Synthesis*, 2000, section 4.3 for the curvature of a robust loss; damping after Nielsen 1999).
 
+mod descent;
 mod deviations;
 mod layout;
 mod linear;
@@ -16,7 +17,7 @@ mod solve;
 
 pub use deviations::{Deviations, MissingTerms, Moved};
 pub use normal::Factored;
-pub use solve::{ANY_FOCAL, Ended, Options, Summary, factor, solve};
+pub use solve::{ANY_FOCAL, Ended, FROM_AFAR, FROM_NEAR, Options, Summary, factor, solve};
 
 use nalgebra::{Matrix3, Vector3};
 

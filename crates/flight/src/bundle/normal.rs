@@ -67,17 +67,6 @@ pub(super) struct Step {
     pub gain: f64,
 }
 
-impl Step {
-    /// The same way, `reach` times as far; what is foretold stays that of the plain step.
-    pub fn times(&self, reach: f64) -> Step {
-        Step {
-            reduced: &self.reduced * reach,
-            points: self.points.iter().map(|point| point * reach).collect(),
-            gain: self.gain,
-        }
-    }
-}
-
 impl Reduced {
     /// Builds the system at the present values with a damping of λ times the diagonal.
     pub fn new(problem: &Problem, layout: &Layout, loss: Loss, curvature: Curvature, damping: f64) -> Self {

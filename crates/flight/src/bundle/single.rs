@@ -3,11 +3,12 @@
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
 
+use super::descent::{Descent, Solved, Way, descend};
 use super::layout::Layout;
 use super::linear::{Curvature, linear, times};
 use super::normal::{SOLVABLE, across};
-use super::solve::{CREEPING, FARTHEST_REACH, FORETOLD, NEAR, tidy};
-use super::{Ended, Options, Problem, Summary, Treatment};
+use super::solve::tidy;
+use super::{Options, Problem, Summary, Treatment};
 use crate::camera::Parameter;
 
 /// A turn, a place and one interior parameter.
@@ -67,43 +68,28 @@ struct Single<'a> {
     layout: Layout,
     active: Option<Parameter>,
     options: &'a Options,
+    /// Where it stands; the problem is where it is tried.
+    from: State,
+}
+
+impl State {
+    fn of(problem: &Problem, active: Option<Parameter>) -> State {
+        let pose = &problem.frames[0].pose;
+        let interior = active.map_or(0.0, |p| problem.cameras[0].camera.get(p));
+        let points = problem.points.iter().map(|p| p.xyz).collect();
+        State { rotation: pose.rotation, centre: pose.centre, interior, points }
+    }
+
+    /// The same, in the memory that is there.
+    fn take(&mut self, problem: &Problem, active: Option<Parameter>) {
+        let pose = &problem.frames[0].pose;
+        (self.rotation, self.centre) = (pose.rotation, pose.centre);
+        self.interior = active.map_or(0.0, |p| problem.cameras[0].camera.get(p));
+        self.points.iter_mut().zip(&problem.points).for_each(|(at, point)| *at = point.xyz);
+    }
 }
 
 impl Single<'_> {
-    fn state(&self) -> State {
-        let pose = &self.problem.frames[0].pose;
-        State {
-            rotation: pose.rotation,
-            centre: pose.centre,
-            interior: self.active.map_or(0.0, |p| self.problem.cameras[0].camera.get(p)),
-            points: self.problem.points.iter().map(|p| p.xyz).collect(),
-        }
-    }
-
-    /// The cost so many steps from a state, which the problem is left in.
-    fn moved(&mut self, from: &State, Step { frame, points, .. }: &Step, reach: f64) -> f64 {
-        let part = |at: usize| Vector3::new(frame[at], frame[at + 1], frame[at + 2]) * reach;
-        let pose = &mut self.problem.frames[0].pose;
-        pose.rotation = tidy(Rotation3::new(part(0)).matrix() * from.rotation);
-        pose.centre = from.centre + part(3);
-        if let Some(p) = self.active {
-            self.problem.cameras[0].camera.set(p, from.interior + frame[6] * reach);
-        }
-        for ((point, from), by) in self.problem.points.iter_mut().zip(&from.points).zip(points) {
-            point.xyz = from + by * reach;
-        }
-        self.problem.cost(self.options.loss)
-    }
-
-    fn put(&mut self, state: &State) {
-        let pose = &mut self.problem.frames[0].pose;
-        (pose.rotation, pose.centre) = (state.rotation, state.centre);
-        if let Some(p) = self.active {
-            self.problem.cameras[0].camera.set(p, state.interior);
-        }
-        self.problem.points.iter_mut().zip(&state.points).for_each(|(point, at)| point.xyz = *at);
-    }
-
     fn system(&self, curvature: Curvature, damping: f64) -> System {
         let (mut whole, mut taken) = (Square::zeros(), Square::zeros());
         let (mut gradient, mut through) = (Column::zeros(), Column::zeros());
@@ -153,6 +139,55 @@ impl Single<'_> {
     }
 }
 
+impl Descent for Single<'_> {
+    type Step = Step;
+
+    fn cost(&self) -> f64 {
+        self.problem.cost(self.options.loss)
+    }
+
+    fn solved(&self, curvature: Curvature, damping: f64, least_slope: f64) -> Solved<Step> {
+        let system = self.system(curvature, damping);
+        if system.slope < least_slope {
+            return Solved::Level;
+        }
+        system.step().map_or(Solved::Unsolvable, |step| Solved::Step { foretold: step.foretold, step })
+    }
+
+    /// The problem itself goes there.
+    fn tried(&mut self, Step { frame, points, .. }: &Step, way: Way) -> Option<f64> {
+        let Way::Straight(reach) = way else { return None };
+        let part = |at: usize| Vector3::new(frame[at], frame[at + 1], frame[at + 2]) * reach;
+        let pose = &mut self.problem.frames[0].pose;
+        pose.rotation = tidy(Rotation3::new(part(0)).matrix() * self.from.rotation);
+        pose.centre = self.from.centre + part(3);
+        if let Some(p) = self.active {
+            self.problem.cameras[0].camera.set(p, self.from.interior + frame[6] * reach);
+        }
+        for ((point, from), by) in self.problem.points.iter_mut().zip(&self.from.points).zip(points) {
+            point.xyz = from + by * reach;
+        }
+        Some(self.cost())
+    }
+
+    fn accept(&mut self) {
+        self.from.take(self.problem, self.active);
+    }
+
+    fn refuse(&mut self) {
+        let pose = &mut self.problem.frames[0].pose;
+        (pose.rotation, pose.centre) = (self.from.rotation, self.from.centre);
+        if let Some(p) = self.active {
+            self.problem.cameras[0].camera.set(p, self.from.interior);
+        }
+        self.problem.points.iter_mut().zip(&self.from.points).for_each(|(point, at)| point.xyz = *at);
+    }
+
+    fn is_out_of_bounds(&self) -> bool {
+        self.options.lets_go_of(self.problem)
+    }
+}
+
 impl System {
     /// `None` where the matrix is not positive definite.
     fn step(&self) -> Option<Step> {
@@ -177,77 +212,14 @@ impl System {
 pub(super) fn solve_single(problem: &mut Problem, options: &Options) -> Summary {
     let layout = Layout::new(problem);
     let active = problem.cameras[0].active().first().copied();
-    let first_cost = problem.cost(options.loss);
-    let mut single = Single { problem, layout, active, options };
-    let (mut cost, mut last_fall) = (first_cost, 0.0);
-    let (mut damping, mut grow) = (1e-4, 2.0);
-    let mut curvature = Curvature::Weights;
-    let end = |cost, iterations, ended, last_fall| Summary { first_cost, cost, iterations, ended, last_fall };
-    for iteration in 0..options.most_iterations {
-        let from = single.state();
-        let mut accepted = false;
-        for _ in 0..30 {
-            let system = single.system(curvature, damping);
-            if system.slope < 1e-12 * (1.0 + cost.sqrt()) {
-                return end(cost, iteration, Ended::Converged, last_fall);
-            }
-            let Some(step) = system.step() else {
-                damping *= grow;
-                grow *= 2.0;
-                continue;
-            };
-            let mut next_cost = single.moved(&from, &step, 1.0);
-            let ratio = (cost - next_cost) / step.foretold.max(f64::MIN_POSITIVE);
-            let (mut reach, mut best) = (2.0, 1.0);
-            while ratio > CREEPING && reach <= FARTHEST_REACH {
-                let far_cost = single.moved(&from, &step, reach);
-                if far_cost.is_nan() || far_cost >= next_cost {
-                    single.moved(&from, &step, best);
-                    break;
-                }
-                (next_cost, best) = (far_cost, reach);
-                reach *= 2.0;
-            }
-            if next_cost.is_finite() && next_cost < cost {
-                let fall = cost - next_cost;
-                last_fall = fall / cost;
-                let least = if ratio > FORETOLD { 0.05 } else { 1.0 / 3.0 };
-                damping = (damping * (1.0 - (2.0 * ratio.clamp(0.0, 1.0) - 1.0).powi(3)).max(least)).max(1e-14);
-                grow = 2.0;
-                let done = fall <= options.least_gain * cost;
-                curvature = if fall < NEAR * cost { Curvature::Whole } else { Curvature::Weights };
-                cost = next_cost;
-                if options.lets_go_of(single.problem) {
-                    return end(cost, iteration + 1, Ended::Left, last_fall);
-                }
-                if done {
-                    return end(cost, iteration + 1, Ended::Converged, last_fall);
-                }
-                accepted = true;
-                break;
-            }
-            single.put(&from);
-            if step.foretold <= options.least_gain * cost {
-                return end(cost, iteration, Ended::Converged, last_fall);
-            }
-            if curvature == Curvature::Whole {
-                curvature = Curvature::Weights;
-                continue;
-            }
-            damping *= grow;
-            grow *= 2.0;
-        }
-        if !accepted {
-            return end(cost, iteration, Ended::Stuck, last_fall);
-        }
-    }
-    end(cost, options.most_iterations, Ended::OutOfIterations, last_fall)
+    let from = State::of(problem, active);
+    descend(&mut Single { problem, layout, active, options, from }, options)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bundle::{BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Trust, solve};
+    use crate::bundle::{BundleCamera, BundleFrame, BundlePoint, Ended, Loss, Observation, Trust, solve};
     use crate::camera::Camera;
     use crate::pose::{Pose, YawPitchRoll};
 

@@ -1,12 +1,13 @@
-//! Levenberg and Marquardt's iteration.
+//! The problem of any size, and its least squares.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
+use super::descent::{Descent, Solved, Way, descend};
 use super::layout::{Layout, MOST_INTERIOR};
 use super::linear::Curvature;
 use super::normal::{Factored, Reduced, SOLVABLE, Step};
 use super::single::{is_single, solve_single};
-use super::{Loss, Problem};
+use super::{BundleCamera, BundleFrame, BundlePoint, Loss, Problem};
 use crate::error::{Error, Result};
 
 #[derive(Clone, Copy, Debug)]
@@ -17,7 +18,14 @@ pub struct Options {
     pub least_gain: f64,
     /// Ends when a focal length leaves these bounds, pixels.
     pub focal_px: [f64; 2],
+    /// How strongly the first step is damped: [`FROM_AFAR`] or [`FROM_NEAR`].
+    pub damping: f64,
 }
+
+/// Damping, as a share of the diagonal, of a start that may be far from the minimum.
+pub const FROM_AFAR: f64 = 1e-4;
+/// Of one that comes from a minimum of nearly the same problem: it must not hold the slow bends of long lines.
+pub const FROM_NEAR: f64 = 1e-10;
 
 /// No bounds of focal lengths.
 pub const ANY_FOCAL: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
@@ -32,18 +40,10 @@ impl Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Options { loss: Loss::Huber(3.0), most_iterations: 100, least_gain: 1e-10, focal_px: ANY_FOCAL }
+        let (loss, focal_px, damping) = (Loss::Huber(3.0), ANY_FOCAL, FROM_AFAR);
+        Options { loss, most_iterations: 100, least_gain: 1e-10, focal_px, damping }
     }
 }
-
-/// Share of the foretold fall of the cost above which the linear model is believed.
-pub(super) const FORETOLD: f64 = 0.75;
-/// A cost that fell by less than this part of it is near its end.
-pub(super) const NEAR: f64 = 0.03;
-
-/// Share of the foretold fall of the cost from which longer steps are tried, and the longest.
-pub(super) const CREEPING: f64 = 1.5;
-pub(super) const FARTHEST_REACH: f64 = 256.0;
 
 /// Why the iteration ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,85 +78,77 @@ pub fn solve(problem: &mut Problem, options: &Options) -> Result<Summary> {
         return Ok(solve_single(problem, options));
     }
     let layout = Layout::new(problem);
-    let first_cost = problem.cost(options.loss);
-    let (mut cost, mut last_fall) = (first_cost, 0.0);
-    let (mut damping, mut grow) = (1e-4, 2.0);
-    // Weights by the loss alone make safe steps from afar; near the end its curvature makes them fast.
-    let mut curvature = Curvature::Weights;
-    let end = |cost, iterations, ended, last_fall| Summary { first_cost, cost, iterations, ended, last_fall };
-    for iteration in 0..options.most_iterations {
-        let mut accepted = false;
-        // 60 doublings that grow are a damping of 10^500: stuck long before.
-        for _ in 0..30 {
-            let reduced = Reduced::new(problem, &layout, options.loss, curvature, damping);
-            if reduced.slope < 1e-12 * (1.0 + cost.sqrt()) {
-                return Ok(end(cost, iteration, Ended::Converged, last_fall));
-            }
-            let Some(step) = reduced.step(SOLVABLE) else {
-                damping *= grow;
-                grow *= 2.0;
-                continue;
-            };
-            let mut next = moved(problem, &layout, &step, &Common::none());
-            let mut next_cost = next.cost(options.loss);
-            let foretold = step.gain.max(f64::MIN_POSITIVE);
-            // Where the straight line leads astray, what moves as one may be what bends it.
-            if !next_cost.is_finite() || cost - next_cost < FORETOLD * foretold {
-                let whole = moved(problem, &layout, &step, &Common::of_step(problem, &layout, &step));
-                let whole_cost = whole.cost(options.loss);
-                if whole_cost < next_cost || !next_cost.is_finite() {
-                    (next, next_cost) = (whole, whole_cost);
-                }
-            }
-            let ratio = (cost - next_cost) / foretold;
-            // Robust weights foretell too little along what is hardly determined: farther on it falls still.
-            let mut reach = 2.0;
-            while ratio > CREEPING && reach <= FARTHEST_REACH {
-                let far = moved(problem, &layout, &step.times(reach), &Common::none());
-                let far_cost = far.cost(options.loss);
-                if far_cost.is_nan() || far_cost >= next_cost {
-                    break;
-                }
-                (next, next_cost) = (far, far_cost);
-                reach *= 2.0;
-            }
-            if next_cost.is_finite() && next_cost < cost {
-                let fall = cost - next_cost;
-                last_fall = fall / cost;
-                *problem = next;
-                // Nielsen's rule, faster where the model foretells the fall: long blocks bend by what damping must not
-                // hold.
-                let least = if ratio > FORETOLD { 0.05 } else { 1.0 / 3.0 };
-                damping = (damping * (1.0 - (2.0 * ratio.clamp(0.0, 1.0) - 1.0).powi(3)).max(least)).max(1e-14);
-                grow = 2.0;
-                let done = fall <= options.least_gain * cost;
-                curvature = if fall < NEAR * cost { Curvature::Whole } else { Curvature::Weights };
-                cost = next_cost;
-                if options.lets_go_of(problem) {
-                    return Ok(Summary { first_cost, cost, iterations: iteration + 1, ended: Ended::Left, last_fall });
-                }
-                if done {
-                    return Ok(end(cost, iteration + 1, Ended::Converged, last_fall));
-                }
-                accepted = true;
-                break;
-            }
-            if step.gain <= options.least_gain * cost {
-                // Rounding, not the model, decides from here on.
-                return Ok(end(cost, iteration, Ended::Converged, last_fall));
-            }
-            if curvature == Curvature::Whole {
-                curvature = Curvature::Weights;
-                continue;
-            }
-            damping *= grow;
-            grow *= 2.0;
-        }
-        if !accepted {
-            return Ok(end(cost, iteration, Ended::Stuck, last_fall));
-        }
+    Ok(descend(&mut Block { tried: Unknowns::of(problem), problem, layout, options }, options))
+}
+
+/// All that moves.
+struct Unknowns {
+    frames: Vec<BundleFrame>,
+    cameras: Vec<BundleCamera>,
+    points: Vec<BundlePoint>,
+}
+
+impl Unknowns {
+    fn of(problem: &Problem) -> Self {
+        let Problem { frames, cameras, points, .. } = problem;
+        Unknowns { frames: frames.clone(), cameras: cameras.clone(), points: points.clone() }
     }
-    Ok(end(cost, options.most_iterations, Ended::OutOfIterations, last_fall))
+
+    /// Changes places with those of the problem, whose observations stay.
+    fn exchange(&mut self, problem: &mut Problem) {
+        std::mem::swap(&mut self.frames, &mut problem.frames);
+        std::mem::swap(&mut self.cameras, &mut problem.cameras);
+        std::mem::swap(&mut self.points, &mut problem.points);
+    }
+}
+
+/// A problem of any size.
+struct Block<'a> {
+    problem: &'a mut Problem,
+    /// Where it was tried last.
+    tried: Unknowns,
+    layout: Layout,
+    options: &'a Options,
+}
+
+impl Descent for Block<'_> {
+    type Step = Step;
+
+    fn cost(&self) -> f64 {
+        self.problem.cost(self.options.loss)
+    }
+
+    fn solved(&self, curvature: Curvature, damping: f64, least_slope: f64) -> Solved<Step> {
+        let reduced = Reduced::new(self.problem, &self.layout, self.options.loss, curvature, damping);
+        if reduced.slope < least_slope {
+            return Solved::Level;
+        }
+        let step = reduced.step(SOLVABLE);
+        step.map_or(Solved::Unsolvable, |step| Solved::Step { foretold: step.gain, step })
+    }
+
+    fn tried(&mut self, step: &Step, way: Way) -> Option<f64> {
+        let (common, reach) = match way {
+            Way::Straight(reach) => (Common::none(), reach),
+            Way::AsOne => (Common::of_step(self.problem, &self.layout, step), 1.0),
+        };
+        moved(self.problem, &self.layout, step, reach, &common, &mut self.tried);
+        self.tried.exchange(self.problem);
+        let cost = self.cost();
+        self.tried.exchange(self.problem);
+        Some(cost)
+    }
+
+    fn accept(&mut self) {
+        self.tried.exchange(self.problem);
+    }
+
+    /// It stands there still.
+    fn refuse(&mut self) {}
+
+    fn is_out_of_bounds(&self) -> bool {
+        self.options.lets_go_of(self.problem)
+    }
 }
 
 /// The normal equations at the present values, for covariances; `None` when the datum is not fixed by what was
@@ -170,26 +162,24 @@ fn part(step: &Step, at: usize) -> Vector3<f64> {
     Vector3::new(step.reduced[at], step.reduced[at + 1], step.reduced[at + 2])
 }
 
-/// The problem after a step. What is `common` to the step (a turn, a scale, a shift of all) is done exactly, so that
-/// the images stay as they are: only what is left follows the straight line of the linear model.
-fn moved(problem: &Problem, layout: &Layout, step: &Step, common: &Common) -> Problem {
-    let mut next = problem.clone();
-    for (frame, at) in next.frames.iter_mut().zip(&layout.frame_at) {
+/// Where a step leads, gone `reach` times. What is `common` to the step (a turn, a scale, a shift of all) is done
+/// exactly, so that the images stay as they are: only what is left follows the straight line of the linear model.
+fn moved(problem: &Problem, layout: &Layout, step: &Step, reach: f64, common: &Common, to: &mut Unknowns) {
+    for ((frame, at), next) in problem.frames.iter().zip(&layout.frame_at).zip(&mut to.frames) {
         let rotation = frame.pose.rotation;
-        let left = part(step, *at) + rotation * common.turn;
-        frame.pose.rotation = tidy(Rotation3::new(left).matrix() * rotation * common.rotation.transpose());
-        frame.pose.centre = common.apply(&frame.pose.centre, &part(step, at + 3));
+        let left = part(step, *at) * reach + rotation * common.turn;
+        next.pose.rotation = tidy(Rotation3::new(left).matrix() * rotation * common.rotation.transpose());
+        next.pose.centre = common.apply(&frame.pose.centre, &(part(step, at + 3) * reach));
     }
-    for (i, camera) in next.cameras.iter_mut().enumerate() {
+    for (i, (camera, next)) in problem.cameras.iter().zip(&mut to.cameras).enumerate() {
         for (k, p) in layout.active[i].iter().enumerate() {
-            let value = camera.camera.get(*p) + step.reduced[layout.interior_at[i] + k];
-            camera.camera.set(*p, value);
+            let value = camera.camera.get(*p) + step.reduced[layout.interior_at[i] + k] * reach;
+            next.camera.set(*p, value);
         }
     }
-    for (point, step) in next.points.iter_mut().zip(&step.points) {
-        point.xyz = common.apply(&point.xyz, step);
+    for ((point, step), next) in problem.points.iter().zip(&step.points).zip(&mut to.points) {
+        next.xyz = common.apply(&point.xyz, &(step * reach));
     }
-    next
 }
 
 /// The similarity that comes nearest to a step of all places.

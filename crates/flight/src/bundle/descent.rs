@@ -1,0 +1,146 @@
+//! Levenberg and Marquardt's iteration: damped steps down to a minimum.
+
+use super::linear::Curvature;
+use super::{Ended, Options, Summary};
+
+/// Share of the foretold fall of the cost above which the linear model is believed.
+const FORETOLD: f64 = 0.75;
+/// A cost that fell by less than this part of it is near its end.
+const NEAR: f64 = 0.03;
+/// Share of the foretold fall of the cost from which longer steps are tried, and the longest.
+const CREEPING: f64 = 1.5;
+const FARTHEST_REACH: f64 = 256.0;
+
+/// What the damped normal equations say.
+pub(super) enum Solved<Step> {
+    /// Nothing slopes any more.
+    Level,
+    /// The matrix is not positive definite.
+    Unsolvable,
+    Step {
+        step: Step,
+        /// What the linear model says the cost falls by.
+        foretold: f64,
+    },
+}
+
+/// How a step is gone.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Way {
+    /// So many times as far as the linear model says.
+    Straight(f64),
+    /// What moves as one is moved as one.
+    AsOne,
+}
+
+/// What is adjusted: where it stands, and where it is tried.
+pub(super) trait Descent {
+    type Step;
+    /// The cost where it stands.
+    fn cost(&self) -> f64;
+    /// The step from where it stands; level where no slope exceeds `least_slope`.
+    fn solved(&self, curvature: Curvature, damping: f64, least_slope: f64) -> Solved<Self::Step>;
+    /// The cost a step from where it stands, which is the place that is tried now; `None` where it knows no such way.
+    fn tried(&mut self, step: &Self::Step, way: Way) -> Option<f64>;
+    /// Stands at the place that was tried last.
+    fn accept(&mut self);
+    /// Stands where it stood before places were tried.
+    fn refuse(&mut self);
+    /// Whether it has left its bounds.
+    fn is_out_of_bounds(&self) -> bool;
+}
+
+/// The place of least cost that one step leads to: its cost, and what of the foretold fall the step itself brought.
+fn best_place<D: Descent>(place: &mut D, step: &D::Step, foretold: f64, cost: f64) -> (f64, f64) {
+    let cost_of = |place: &mut D, way| place.tried(step, way).unwrap_or(f64::INFINITY);
+    let foretold = foretold.max(f64::MIN_POSITIVE);
+    let (mut way, mut last) = (Way::Straight(1.0), Way::Straight(1.0));
+    let mut next = cost_of(place, way);
+    // Where the straight line leads astray, what moves as one may be what bends it.
+    if (!next.is_finite() || cost - next < FORETOLD * foretold)
+        && let Some(whole) = place.tried(step, Way::AsOne)
+    {
+        last = Way::AsOne;
+        if whole < next || !next.is_finite() {
+            (next, way) = (whole, last);
+        }
+    }
+    let ratio = (cost - next) / foretold;
+    // Robust weights foretell too little along what is hardly determined: farther on it falls still.
+    let mut reach = 2.0;
+    while ratio > CREEPING && reach <= FARTHEST_REACH {
+        last = Way::Straight(reach);
+        let far = cost_of(place, last);
+        if far.is_nan() || far >= next {
+            break;
+        }
+        (next, way) = (far, last);
+        reach *= 2.0;
+    }
+    if last != way {
+        next = cost_of(place, way);
+    }
+    (next, ratio)
+}
+
+/// Goes down to the minimum.
+pub(super) fn descend<D: Descent>(place: &mut D, options: &Options) -> Summary {
+    let first_cost = place.cost();
+    let (mut cost, mut last_fall) = (first_cost, 0.0);
+    let (mut damping, mut grow) = (options.damping, 2.0);
+    // Weights by the loss alone make safe steps from afar; near the end its curvature makes them fast.
+    let mut curvature = Curvature::Weights;
+    let end = |cost, iterations, ended, last_fall| Summary { first_cost, cost, iterations, ended, last_fall };
+    for iteration in 0..options.most_iterations {
+        let mut accepted = false;
+        // 60 doublings that grow are a damping of 10^500: stuck long before.
+        for _ in 0..30 {
+            let (step, foretold) = match place.solved(curvature, damping, 1e-12 * (1.0 + cost.sqrt())) {
+                Solved::Level => return end(cost, iteration, Ended::Converged, last_fall),
+                Solved::Unsolvable => {
+                    damping *= grow;
+                    grow *= 2.0;
+                    continue;
+                }
+                Solved::Step { step, foretold } => (step, foretold),
+            };
+            let (next, ratio) = best_place(place, &step, foretold, cost);
+            if next.is_finite() && next < cost {
+                place.accept();
+                let fall = cost - next;
+                last_fall = fall / cost;
+                // Nielsen's rule, faster where the model foretells the fall: long blocks bend by what damping must not
+                // hold.
+                let least = if ratio > FORETOLD { 0.05 } else { 1.0 / 3.0 };
+                damping = (damping * (1.0 - (2.0 * ratio.clamp(0.0, 1.0) - 1.0).powi(3)).max(least)).max(1e-14);
+                grow = 2.0;
+                let done = fall <= options.least_gain * cost;
+                curvature = if fall < NEAR * cost { Curvature::Whole } else { Curvature::Weights };
+                cost = next;
+                if place.is_out_of_bounds() {
+                    return end(cost, iteration + 1, Ended::Left, last_fall);
+                }
+                if done {
+                    return end(cost, iteration + 1, Ended::Converged, last_fall);
+                }
+                accepted = true;
+                break;
+            }
+            place.refuse();
+            if foretold <= options.least_gain * cost {
+                // Rounding, not the model, decides from here on.
+                return end(cost, iteration, Ended::Converged, last_fall);
+            }
+            if curvature == Curvature::Whole {
+                curvature = Curvature::Weights;
+                continue;
+            }
+            damping *= grow;
+            grow *= 2.0;
+        }
+        if !accepted {
+            return end(cost, iteration, Ended::Stuck, last_fall);
+        }
+    }
+    end(cost, options.most_iterations, Ended::OutOfIterations, last_fall)
+}
