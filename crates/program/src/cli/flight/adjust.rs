@@ -13,6 +13,7 @@ use autoref_raster::crs::Crs;
 use nalgebra::Vector3;
 
 use super::{camera_tables, check_output, check_sigmas, document, finish, footprints, interior, lists, plausible};
+use crate::cli::progress::Steps;
 
 /// Bring a reconstruction (COLMAP, MicMac, OpenSfM, cameras.json) to the ground by bundle adjustment with GCPs or
 /// known positions.
@@ -180,7 +181,9 @@ pub fn run(args: &AdjustArgs) -> Result<ExitCode> {
         rough,
         ..AdjustOptions::default()
     };
+    let steps = Steps::new("adjusting", 0);
     let mut found = adjust(&model, &points, &options)?;
+    drop(steps);
     found.notes.extend(notes);
     let (poses, ground) = (found.photographs.iter().map(|p| &p.pose), points.iter().map(|p| &p.xyz));
     found.notes.extend(plausible::below_ground(poses, ground, &world));

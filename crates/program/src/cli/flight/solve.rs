@@ -21,8 +21,7 @@ use super::{
     camera_tables, document, footprints, frames, image_size, interior, lists, micmac, page, plausible, runs,
     stage_pages,
 };
-use crate::cli::progress::Busy;
-use crate::out::{Stream, is_mute};
+use crate::cli::progress::Steps;
 
 /// Solve a flight: cameras.json with positions, directions, interior, residuals and check points.
 #[derive(Debug, clap::Args)]
@@ -289,9 +288,9 @@ impl<'a> Ready<'a> {
         // MicMac has compensated the interior with the poses.
         let interior = if by_micmac { Vec::new() } else { interior(&project.adjust.free, "adjust.free")? };
         let options = AdjustOptions { sigma_image_px: image_px, interior, rough, ..AdjustOptions::default() };
-        let busy = Busy::new("adjusting", is_mute(Stream::Errors));
+        let steps = Steps::new("adjusting", 0);
         let mut found = adjust(model, &ground, &options)?;
-        drop(busy);
+        drop(steps);
         found.notes.extend(turned.into_iter().chain(untied).chain(notes));
         found.notes.extend(self.left_out.iter().cloned());
         if by_micmac {
