@@ -83,6 +83,8 @@ const GROWTH: [f64; 3] = [1.0, 2.0, 3.6];
 const PEAKS: usize = 10;
 /// Another way of lying whose marks reach this share of the best correlation is as good: asymmetric marks lose more.
 const AS_GOOD: f64 = 0.98;
+/// And so is one whose marks lose less in the mean than so many standard deviations of that mean.
+const BEYOND_SCATTER: f64 = 3.0;
 
 /// A camera ready for work: its shapes drawn or read once for a whole roll.
 #[derive(Clone, Debug)]
@@ -250,11 +252,9 @@ impl Finder {
             sizes_um.insert(0, um);
         }
         let mut best: Option<Assembly> = None;
-        // How well each way of lying fits: marks found and the score, the best of all boxes.
-        let mut ways: Vec<((f64, Handedness), usize, f64)> = vec![];
-        let rank = |best: Option<Assembly>, ways: &[((f64, Handedness), usize, f64)]| {
-            best.map(|b| Assembly { rivals: rivals(&b, ways), ..b })
-        };
+        // Of all boxes.
+        let mut ways: Vec<Lie> = vec![];
+        let rank = |best: Option<Assembly>, ways: &[Lie]| best.map(|b| Assembly { rivals: rivals(&b, ways), ..b });
         for growth in GROWTH {
             for &pixel_um in &sizes_um {
                 let half_px = 0.5 * options.box_share * growth * info.width.max(info.height) as f64;
@@ -271,7 +271,7 @@ impl Finder {
                     let Some(found) = stretched.filter(more).or(found) else { continue };
                     let mut chosen_only = keep_chosen(found, &peaks);
                     chosen_only.chance = chance(&chosen_only, &peaks, half_px, all_ways.len());
-                    ways.push(((turn_deg, mirrored), chosen_only.marks(), chosen_only.score));
+                    ways.push(Lie::of((turn_deg, mirrored), &chosen_only, &peaks));
                     if best.as_ref().is_none_or(|b| chosen_only.score > b.score + 1e-9) {
                         best = Some(chosen_only);
                     }
@@ -493,15 +493,45 @@ fn keep_chosen(mut assembly: Assembly, peaks: &[Vec<Peak>]) -> Assembly {
     assembly
 }
 
-/// The ways in which the frame may lie that fit nearly as well as the assembly taken, its own first.
-fn rivals(best: &Assembly, ways: &[((f64, Handedness), usize, f64)]) -> Vec<(f64, Handedness)> {
-    let good = |w: &&((f64, Handedness), usize, f64)| w.1 == best.marks() && w.2 >= AS_GOOD * best.score;
-    let mut all: Vec<_> = ways.iter().filter(good).collect();
-    all.sort_by(|a, b| b.2.total_cmp(&a.2));
+/// A way in which the frame may lie, and how well it fits.
+struct Lie {
+    way: (f64, Handedness),
+    /// The correlation of each mark; `None` of those that were not found.
+    scores: Vec<Option<f64>>,
+    score: f64,
+}
+
+impl Lie {
+    fn of(way: (f64, Handedness), assembly: &Assembly, peaks: &[Vec<Peak>]) -> Lie {
+        let scores = assembly.chosen.iter().enumerate().map(|(k, c)| Some(peaks[k][(*c)?].score)).collect();
+        Lie { way, scores, score: assembly.score }
+    }
+
+    fn marks(&self) -> usize {
+        self.scores.iter().flatten().count()
+    }
+
+    /// Whether the marks look so much better than in another way of lying that it is not by chance: coarse correlations
+    /// of one mark scatter by a tenth, and where marks do not look otherwise when turned, by that alone.
+    fn is_told_from(&self, other: &Lie) -> bool {
+        let falls: Vec<f64> = self.scores.iter().zip(&other.scores).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect();
+        let n = falls.len() as f64;
+        let mean = falls.iter().sum::<f64>() / n;
+        let variance = falls.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        other.score < AS_GOOD * self.score && mean > BEYOND_SCATTER * (variance / n).sqrt()
+    }
+}
+
+/// The ways in which the frame may lie that fit as well as the assembly taken, as far as correlations tell, its own
+/// first.
+fn rivals(best: &Assembly, ways: &[Lie]) -> Vec<(f64, Handedness)> {
+    let mut all: Vec<&Lie> = ways.iter().filter(|w| w.marks() == best.marks()).collect();
+    all.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let Some(first) = all.first().copied() else { return vec![] };
     let mut rivals: Vec<(f64, Handedness)> = vec![];
-    for way in all {
-        if !rivals.contains(&way.0) {
-            rivals.push(way.0);
+    for lie in all.into_iter().filter(|lie| !first.is_told_from(lie)) {
+        if !rivals.contains(&lie.way) {
+            rivals.push(lie.way);
         }
     }
     rivals
@@ -529,5 +559,24 @@ pub fn find_frame(finder: &Finder, path: &Path, options: &FindOptions) -> FrameR
             notes: vec![],
             elapsed_s: started.elapsed().as_secs_f64(),
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lie(turn_deg: f64, scores: [f64; 4]) -> Lie {
+        Lie { way: (turn_deg, Handedness::AsIs), scores: scores.map(Some).to_vec(), score: scores.iter().sum() }
+    }
+
+    /// Marks that look the same when turned differ by what the coarse grid makes of them; those that do not, all do.
+    #[test]
+    fn a_way_of_lying_is_told_by_all_marks_not_by_the_scatter_of_some() {
+        let right = lie(0.0, [0.93, 0.95, 0.91, 0.96]);
+        let turned_rings = lie(90.0, [0.76, 0.96, 0.93, 0.94]);
+        assert!(turned_rings.score < AS_GOOD * right.score && !right.is_told_from(&turned_rings));
+        assert!(right.is_told_from(&lie(90.0, [0.61, 0.74, 0.66, 0.70])));
+        assert!(!right.is_told_from(&lie(90.0, [0.92, 0.94, 0.90, 0.95])), "by all marks, but by next to nothing");
     }
 }

@@ -68,6 +68,12 @@ impl Pose {
         (-self.linear[1]).atan2(self.linear[3]).to_degrees()
     }
 
+    /// Whether it is turned by a quarter or more against another, or mirrored.
+    pub fn lies_otherwise(&self, other: &Pose) -> bool {
+        let turn_deg = (self.turn_deg() - other.turn_deg()).rem_euclid(360.0);
+        self.mirrored != other.mirrored || (45.0..315.0).contains(&turn_deg)
+    }
+
     /// Shape → scan of a mark that is turned clockwise by `turn_deg` on the upright frame.
     pub fn shape_linear(&self, turn_deg: f64) -> [f64; 4] {
         let (s, c) = turn_deg.to_radians().sin_cos();

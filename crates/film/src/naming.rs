@@ -34,9 +34,14 @@ impl Named {
 }
 
 impl Finder {
+    /// Whether all marks are their own mirror images.
+    pub(super) fn are_symmetric(&self) -> bool {
+        self.models.iter().all(Model::is_symmetric)
+    }
+
     /// Puts the right names to the marks: of all turns of the frame the one whose calibrated positions fit best.
-    /// Returns what is doubtful about the names. `rivals` are the ways of lying that fit the scan as well as the best,
-    /// best first.
+    /// Returns what is doubtful about the names. `rivals` are the ways of lying in which marks that are not their own
+    /// mirror images look as good as in the best, best first: among these the positions decide.
     pub(super) fn name_marks(
         &self,
         options: &FindOptions,
@@ -46,19 +51,25 @@ impl Finder {
     ) -> Named {
         let mut named = Named::default();
         // Shapes that are not their own mirror images tell by themselves, unless another way round looks as good.
-        if !self.models.iter().all(Model::is_symmetric) {
-            if rivals.len() > 1 {
-                let ways: Vec<String> = rivals.iter().map(|(t, m)| lies(*t, *m)).collect();
-                named.say(&ways, &ways[0], self.camera.upright && rivals[0] == (0.0, Handedness::AsIs));
-            }
+        let by_shape = !self.are_symmetric();
+        if by_shape && rivals.len() <= 1 {
             return named;
         }
         // Names need places that are right to some pixels only.
         let sound = located(&self.film, measured, |m| m.reason.is_none());
         let places = if sound.len() >= 3 { sound } else { located(&self.film, measured, |_| true) };
-        let allowed = self.orientations(options);
-        let all = namings(&self.film, self.centre, &places, pose, &allowed, |a, b| self.class[a] == self.class[b]);
-        let Some(best) = all.first() else { return named };
+        let mut allowed = self.orientations(options);
+        allowed.retain(|way| !by_shape || rivals.contains(way));
+        let alike = |a: usize, b: usize| by_shape || self.class[a] == self.class[b];
+        let all = namings(&self.film, self.centre, &places, pose, &allowed, alike);
+        let Some(best) = all.first() else {
+            // Of two places any way is as good.
+            if by_shape {
+                let ways: Vec<String> = rivals.iter().map(|(t, m)| lies(*t, *m)).collect();
+                named.say(&ways, &ways[0], self.camera.upright && rivals[0] == (0.0, Handedness::AsIs));
+            }
+            return named;
+        };
         // The usual orientation wins among those that fit as well.
         let same_px = (SAME_UM / 1e3 * pose.px_per_mm()).hypot(SAME_PX);
         let as_good: Vec<&Naming> =

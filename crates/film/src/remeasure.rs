@@ -76,9 +76,14 @@ impl Finder {
         let sketches = &mut Sketches::default();
         let all = 0..self.film.len();
         let mut measured =
-            all.map(|k| self.measure(source, options, sketches, &pose, k, None)).collect::<Result<Vec<_>>>()?;
+            all.clone().map(|k| self.measure(source, options, sketches, &pose, k, None)).collect::<Result<Vec<_>>>()?;
         self.settle_points(source, &pose, &mut measured)?;
         let mut naming = self.name_marks(options, &mut pose, &mut measured, &assembly.rivals);
+        if !self.are_symmetric() && pose.lies_otherwise(&assembly.pose) {
+            // Each by its own picture, not by that of the mark it was taken for.
+            measured = all.map(|k| self.measure(source, options, sketches, &pose, k, None)).collect::<Result<_>>()?;
+            self.settle_points(source, &pose, &mut measured)?;
+        }
         // Under the names and the pose of those that agree, the others are looked for again.
         let points = located(&self.film, &measured, |_| true);
         let agreed = agreeing(&self.film, &points, &pose, options.tolerance_px(&pose));
