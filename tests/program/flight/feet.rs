@@ -117,6 +117,20 @@ fn points_and_positions_in_feet_give_the_cameras_of_those_in_metres() {
     }
 }
 
+#[test]
+fn titles_that_count_otherwise_than_the_map_are_refused() {
+    let place = Place::new();
+    let model = place.at("model");
+    place.flight.write_model(&model);
+    let wrong = [(MAPS[0], "z (m)", "`z (m)` says metres"), (METRES, "z (ft)", "`z (ft)` says feet")];
+    for (map, title, said) in wrong {
+        let rows = map.table(&place.flight).replacen("x,y,z", &format!("x,y,{title}"), 1);
+        let table = place.write("table.csv", &rows);
+        let words = ["flight", "adjust", text(&model), "--cameras", text(&table), "--crs", map.0];
+        expect(&autoref(&words, None, &[]), 2, &[said, map.0]);
+    }
+}
+
 /// A model of the ground in a map, heights in the unit of the map.
 fn model_of_ground(path: &Path, map: Map, epsg: u32) {
     let corner = [(800.0 + AWAY_M[0]) / map.1, (2250.0 + AWAY_M[1]) / map.1];

@@ -2,12 +2,12 @@
 
 mod affinity;
 pub mod colmap;
-pub mod feet;
 pub mod micmac;
 pub mod opensfm;
 mod own;
 pub mod tables;
 mod titles;
+pub mod units;
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! Whether the titles of a camera table say that its coordinates are feet.
+//! Whether the titles of a camera table say that its coordinates are feet or metres.
 
 use std::path::Path;
 
@@ -7,11 +7,21 @@ use crate::error::{Result, read_text};
 
 const FEET: [&str; 10] = ["ft", "feet", "foot", "usft", "ftus", "ift", "usfeet", "ussurveyft", "ussurveyfeet", "intft"];
 
-/// Titles that state feet in brackets, as `z (ft)`: one of easting and northing, and that of heights.
+const METRES: [&str; 5] = ["m", "metre", "metres", "meter", "meters"];
+
+/// A unit of length that a title states.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stated {
+    /// International or of the US survey.
+    Feet,
+    Metres,
+}
+
+/// Titles that state a unit in brackets, as `z (ft)`: one of easting and northing, and that of heights.
 ///
 /// # Errors
 /// When the table cannot be read.
-pub fn titles_in_feet(table: &Path) -> Result<[Option<String>; 2]> {
+pub fn stated_by_titles(table: &Path) -> Result<[Option<(String, Stated)>; 2]> {
     let text = read_text(table)?;
     let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim).filter(|line| !line.is_empty());
     // Comments, of which one may be the heading, and the first line that is none.
@@ -19,12 +29,14 @@ pub fn titles_in_feet(table: &Path) -> Result<[Option<String>; 2]> {
     let first = lines.take_while(|line| !std::mem::replace(&mut is_over, !line.starts_with('#')));
     let heading = first.map(|line| Heading::of(line.trim_start_matches('#').trim_start())).find(Heading::names_places);
     let Some(heading) = heading else { return Ok([None, None]) };
-    let in_feet = |i: usize| {
+    let stated = |i: usize| {
         let field = heading.fields.get(column_at(&heading.heads, i)?)?;
         let unit: String = title_and_unit(field).1.chars().filter(|c| c.is_alphabetic()).collect();
-        FEET.contains(&unit.as_str()).then(|| field.trim().to_string())
+        let known = [(&FEET[..], Stated::Feet), (&METRES[..], Stated::Metres)];
+        let (_, unit) = known.into_iter().find(|(words, _)| words.contains(&unit.as_str()))?;
+        Some((field.trim().to_string(), unit))
     };
-    Ok([in_feet(0).or_else(|| in_feet(1)), in_feet(2)])
+    Ok([stated(0).or_else(|| stated(1)), stated(2)])
 }
 
 #[cfg(test)]
@@ -32,18 +44,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn brackets_tell_feet() {
+    fn brackets_tell_the_unit() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("t.csv");
         let told = |text: &str| {
             std::fs::write(&path, text).expect("written");
-            titles_in_feet(&path).expect("read")
+            stated_by_titles(&path).expect("read")
         };
-        let z = Some("Z (ft)".to_string());
+        let z = Some(("Z (ft)".to_string(), Stated::Feet));
         assert_eq!(told("name,x,y,Z (ft),yaw\na,1,2,3,4\n"), [None, z.clone()]);
         assert_eq!(told("# made by hand\n# name,x,y,Z (ft),yaw\na,1,2,3,4\n"), [None, z]);
-        let east = Some("Easting [US ft]".to_string());
-        assert_eq!(told("name,Easting [US ft],Northing [US ft],z (m)\na,1,2,3\n"), [east, None]);
+        let east = Some(("Easting [US ft]".to_string(), Stated::Feet));
+        let height = Some(("z (m)".to_string(), Stated::Metres));
+        assert_eq!(told("name,Easting [US ft],Northing [US ft],z (m)\na,1,2,3\n"), [east, height]);
         assert_eq!(told("name,x,y,z\n# z (ft)\na,1,2,3\n"), [None, None]);
         assert_eq!(told("a 1 2 3\n"), [None, None]);
     }

@@ -6,9 +6,9 @@ use anyhow::{Result, bail};
 use autoref_flight::Pose;
 use autoref_flight::adjust::RoughPose;
 use autoref_flight::pose::turn;
-use autoref_flight::read::feet;
 use autoref_flight::read::same_image;
 use autoref_flight::read::tables::{self, Angles, CameraRow};
+use autoref_flight::read::units::{self, Stated};
 use autoref_flight::world::World;
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::units::FOOT_M;
@@ -93,19 +93,26 @@ fn apart_deg(row: &CameraRow) -> Option<f64> {
 /// # Errors
 /// When there is no map to bring them to.
 pub fn on_map(rows: Vec<CameraRow>, table: &Path, crs: Option<&Crs>) -> Result<Vec<CameraRow>> {
-    let [plan, height] = feet::titles_in_feet(table)?;
+    let [plan, height] = units::stated_by_titles(table)?;
     let crs = crs.filter(|c| !c.is_local());
     let geographic = rows.iter().any(|row| row.geographic);
     let plan_m = crs.filter(|_| !geographic).map_or(1.0, Crs::metres_per_unit);
     let height_m = crs.filter(|_| !geographic).map_or(1.0, height_unit_m);
-    let is_foot = |unit_m: f64| (unit_m / FOOT_M - 1.0).abs() < 1e-4;
-    let wrong = [(plan, plan_m, "coordinates"), (height, height_m, "heights")];
-    if let Some((Some(title), unit_m, what)) = wrong.into_iter().find(|(t, unit_m, _)| t.is_some() && !is_foot(*unit_m))
-    {
+    let is_other = |unit: Stated, unit_m: f64| match unit {
+        Stated::Feet => (unit_m / FOOT_M - 1.0).abs() >= 1e-4,
+        Stated::Metres => (unit_m - 1.0).abs() >= 1e-4,
+    };
+    for (stated, unit_m, what) in [(plan, plan_m, "coordinates"), (height, height_m, "heights")] {
+        let Some((title, unit)) = stated.filter(|(_, unit)| is_other(*unit, unit_m)) else { continue };
+        let unit = match unit {
+            Stated::Feet => "feet",
+            Stated::Metres => "metres",
+        };
         let system = crs.map_or("the table".to_string(), |c| c.title());
+        let apart = if what == "heights" { " (with a vertical CRS for heights alone, as EPSG:2263+5703)" } else { "" };
         bail!(
-            "{}: `{title}` says feet, and {what} count in units of {unit_m} m in {system}; bring the column to these, or \
-             give the --crs, or crs in FLIGHT.toml, that counts in feet",
+            "{}: `{title}` says {unit}, and {what} count in units of {unit_m} m in {system}; bring the column to these, \
+             or give the --crs, or crs in FLIGHT.toml, that counts in {unit}{apart}",
             table.display()
         )
     }
