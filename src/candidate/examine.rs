@@ -262,8 +262,6 @@ impl Looks<'_> {
         /// How far off the border of the shadow may be moves the centre by so large a share of a side, where only the
         /// even light was fitted.
         const LINE_OF_SIDE: f64 = 0.06;
-        /// Share of the squared distance of the two centres that stays in doubt.
-        const DOUBT: f64 = 0.25;
         /// Where even light makes no mark of it, the centre lies this share of a side off the fitted part's.
         const PART_OF_SIDE: f64 = 0.15;
         let (even, width, height) = (&relit.even, mark.width, mark.height);
@@ -284,13 +282,9 @@ impl Looks<'_> {
             let open = PART_OF_SIDE * PART_OF_SIDE * best.area_px;
             return widen(best, [open, 0.0, open]);
         }
-        let texture = scene.ring_ground().map(|ground| ground.covariance);
-        let joint = evidence
-            .fit
-            .as_ref()
-            .zip(texture)
-            .filter(|_| likely)
-            .and_then(|(fit, texture)| two_lights::fit(mark, &own, fit, (&relit.border, relit.ratio), texture));
+        let joint = evidence.fit.as_ref().zip(scene.ring_ground()).filter(|_| likely).and_then(|(fit, ground)| {
+            two_lights::fit(mark, &own, fit, (&relit.border, relit.ratio), (self.classifier, ground))
+        });
         match joint {
             Some(joint) => {
                 let window = &mark.patch.window;
@@ -299,7 +293,7 @@ impl Looks<'_> {
                 let open = apart(at.0 - evidence.centre.0, at.1 - evidence.centre.1);
                 evidence.centre = at;
                 evidence.covariance_px2 = joint.covariance_px2;
-                widen(evidence, open.map(|d| DOUBT * d))
+                widen(evidence, open.map(|d| joint.doubt * d))
             }
             None => {
                 let line = LINE_OF_SIDE * LINE_OF_SIDE * scene.own.count() as f64;

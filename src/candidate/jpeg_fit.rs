@@ -10,7 +10,9 @@
 
 use nalgebra::{SMatrix, SVector, Vector3};
 
+use super::descent::Trust;
 use super::fit::{Fit, Form, add_priors};
+use super::jpeg_noise::{Noise, class, texture};
 use super::jpeg_steps::{CELLS, Cells, Cosines, N, TO_YCC, Tables};
 use super::kernels::{self, Model};
 use super::scene::{Ground, Scene};
@@ -28,8 +30,6 @@ const COLOUR: usize = 4;
 const PARAMETERS: usize = SHAPE + 3 * COLOUR;
 /// Steps of least squares.
 const ROUNDS: usize = 3;
-/// Variance of a coefficient by rounded samples.
-const SAMPLES: f64 = 0.15;
 /// What the picture of a block is made of: gradients of the shape, the shape, open ground, that times x, times y.
 const PARTS: usize = SHAPE + COLOUR;
 type Vector = SVector<f64, PARAMETERS>;
@@ -51,30 +51,30 @@ pub struct Refined {
 }
 
 /// Luma and colour differences around a mark, on the JPEG's grid.
-struct Planes {
-    width: usize,
-    height: usize,
+pub(super) struct Planes {
+    pub width: usize,
+    pub height: usize,
     /// At full resolution.
-    luma: Vec<f64>,
-    seen: Vec<bool>,
+    pub luma: Vec<f64>,
+    pub seen: Vec<bool>,
     /// At half resolution.
-    chroma: [Vec<f64>; 2],
-    half_seen: Vec<bool>,
+    pub chroma: [Vec<f64>; 2],
+    pub half_seen: Vec<bool>,
 }
 
 /// Linear combinations of luma and colour differences whose ground texture is not correlated: each less what those
 /// before it tell of it. What rounding adds to each is kept with it.
-struct Channels {
+pub(super) struct Channels {
     /// Second less first; third less first, third less second.
     less: [f64; 3],
     /// Variance of the ground's pixels.
-    spread: [f64; 3],
+    pub spread: [f64; 3],
     /// Variance of each coefficient by rounding.
-    rounding: [Cells; 3],
+    pub rounding: [Cells; 3],
 }
 
 impl Channels {
-    fn new(ground: &Ground, tables: &Tables) -> Channels {
+    pub fn new(ground: &Ground, tables: &Tables) -> Channels {
         /// Variance of pixels by noise and rounding, which tells nothing of the other channels.
         const NOISE: f64 = 9.0;
         let v = TO_YCC * ground.covariance * TO_YCC.transpose();
@@ -99,13 +99,13 @@ impl Channels {
         }
     }
 
-    fn of(&self, ycc: Vector3<f64>) -> [f64; 3] {
+    pub fn of(&self, ycc: Vector3<f64>) -> [f64; 3] {
         let b = ycc[1] - self.less[0] * ycc[0];
         [ycc[0], b, ycc[2] - self.less[1] * ycc[0] - self.less[2] * b]
     }
 
     /// Puts the channels in the place of the colour differences.
-    fn apply(&self, planes: &mut Planes) {
+    pub fn apply(&self, planes: &mut Planes) {
         let luma = half(&planes.luma, planes.width, planes.height);
         let [blue, red] = &mut planes.chroma;
         for ((y, b), r) in luma.iter().zip(blue).zip(red) {
@@ -115,7 +115,7 @@ impl Channels {
 }
 
 /// Means over 2 × 2 pixels.
-fn half(plane: &[f64], width: usize, height: usize) -> Vec<f64> {
+pub(super) fn half(plane: &[f64], width: usize, height: usize) -> Vec<f64> {
     let mut out = Vec::with_capacity(width * height / 4);
     for rows in plane.chunks_exact(2 * width) {
         let (upper, lower) = rows.split_at(width);
@@ -132,7 +132,7 @@ fn span(at: f64, reach: f64) -> Option<(i64, usize)> {
 }
 
 /// The planes around a fitted mark and where their corner lies in the image.
-fn planes(scene: &Scene<'_>, around: &Patch, paint: &[bool], fit: &Fit) -> Option<(Planes, (i64, i64))> {
+pub(super) fn planes(scene: &Scene<'_>, around: &Patch, paint: &[bool], fit: &Fit) -> Option<(Planes, (i64, i64))> {
     let inner = &scene.patch.window;
     let [a, b] = fit.sides_px;
     let (sin, cos) = fit.angle_rad.sin_cos();
@@ -191,7 +191,7 @@ fn chroma(all: &[Vector3<f64>], seen: &[bool], (width, height): (usize, usize)) 
     (out, known)
 }
 
-fn block(plane: &[f64], width: usize, b: usize) -> Cells {
+pub(super) fn block(plane: &[f64], width: usize, b: usize) -> Cells {
     let (x, y) = (b % (width / N) * N, b / (width / N) * N);
     let mut out = [0.0; CELLS];
     for (row, cells) in out.chunks_exact_mut(N).enumerate() {
@@ -240,6 +240,9 @@ impl Basis {
     }
 }
 
+/// Blocks of which fewer cells were seen do not count.
+pub(super) const LEAST_SEEN: usize = 44;
+
 /// A block in coefficients, seen in one channel.
 struct Seen<'a> {
     channel: usize,
@@ -268,8 +271,6 @@ fn add_blocks(
     state: &State,
     cosines: &Cosines,
 ) {
-    /// Blocks of which fewer cells were seen do not count.
-    const LEAST_SEEN: usize = 44;
     /// Paint is worn, most up to a fifth: so much of the ground's texture shows on it.
     const WORN: f64 = 0.02;
     let mask: Vec<f64> = seen.iter().map(|&s| f64::from(u8::from(s))).collect();
@@ -317,36 +318,7 @@ fn add_blocks(
     }
 }
 
-/// Class of a coefficient: its distance from the constant one.
-fn class(k: usize) -> usize {
-    (((k / N * (k / N) + k % N * (k % N)) as f64).sqrt() + 0.5) as usize
-}
-const CLASSES: usize = 11;
-
-/// Variance of the ground's texture in each channel and class: what is left over beyond rounding, and before much was
-/// seen a spectrum that falls with the third power of the frequency and has the variance of the pixels in the ring.
-fn texture(seen: &[Seen<'_>], channels: &Channels, classes: &[usize; CELLS]) -> [[f64; CLASSES]; 3] {
-    const TRUST: f64 = 4.0;
-    let mut sums = [[[0.0f64; 2]; CLASSES]; 3];
-    for block in seen {
-        let rounding = &channels.rounding[block.channel];
-        for k in 0..CELLS {
-            let sum = &mut sums[block.channel][classes[k]];
-            sum[0] += block.left[k] * block.left[k] - rounding[k];
-            sum[1] += block.open;
-        }
-    }
-    std::array::from_fn(|c| {
-        std::array::from_fn(|r| {
-            // 64 over the sum of the spectrum.
-            let expected = 20.0 * channels.spread[c] / (1.0 + (r * r) as f64).powf(1.5);
-            let [sum, count] = sums[c][r];
-            ((sum + TRUST * expected) / (count + TRUST)).max(0.05)
-        })
-    })
-}
-
-fn dot(a: &Cells, b: &Cells) -> f64 {
+pub(super) fn dot(a: &Cells, b: &Cells) -> f64 {
     let mut sums = [0.0; N];
     for (a, b) in a.chunks_exact(N).zip(b.chunks_exact(N)) {
         for i in 0..N {
@@ -397,9 +369,8 @@ impl Problem<'_> {
     }
 
     /// One step of least squares and, after the last, the covariance (xx, xy, yy) of the centre; from the second on
-    /// weight is taken from what lies far off (Student's distribution).
+    /// weight is taken from what lies far off.
     fn step(&self, state: &State, round: usize) -> Option<(Vector, [f64; 3])> {
-        const FREEDOM: f64 = 6.0;
         let blocks = self.blocks(state);
         let seen: Vec<Seen<'_>> = blocks
             .iter()
@@ -415,16 +386,10 @@ impl Problem<'_> {
                 b.left.iter().map(one)
             })
             .collect();
-        let texture = texture(&seen, self.channels, &self.classes);
-        let weigh = |block: &Seen<'_>| -> Cells {
-            let (rounding, texture) = (&self.channels.rounding[block.channel], &texture[block.channel]);
-            std::array::from_fn(|k| {
-                let variance = rounding[k] + texture[self.classes[k]] * block.open + SAMPLES;
-                let z2 = block.left[k] * block.left[k] / variance;
-                if round > 0 { (FREEDOM + 1.0) / (FREEDOM + z2) / variance } else { 1.0 / variance }
-            })
-        };
-        let weights: Vec<Cells> = seen.iter().map(weigh).collect();
+        let texture = texture(seen.iter().map(|b| (b.channel, &b.left, b.open)), self.channels, &self.classes);
+        let trust = if round > 0 { Trust::Robust } else { Trust::Even };
+        let noise = Noise { channels: self.channels, classes: &self.classes, texture: &texture };
+        let weights: Vec<Cells> = seen.iter().map(|b| noise.weights(b.channel, &b.left, b.open, trust)).collect();
         let (mut h, mut g) = (Matrix::zeros(), Vector::zeros());
         for (block, weights) in seen.iter().zip(&weights) {
             add_equations(block, state, weights, &mut h, &mut g);
@@ -433,7 +398,7 @@ impl Problem<'_> {
         self.add_priors(state, &mut h, &mut g);
         let factor = h.cholesky()?;
         let covariance = if round + 1 == ROUNDS {
-            self.covariance(state, &seen, &weights, &texture, &factor.inverse())
+            self.covariance(state, &seen, &weights, &noise, &factor.inverse())
         } else {
             [0.0; 3]
         };
@@ -453,7 +418,7 @@ impl Problem<'_> {
         state: &State,
         seen: &[Seen<'_>],
         weights: &[Cells],
-        texture: &[[f64; CLASSES]; 3],
+        noise: &Noise<'_>,
         inverse: &Matrix,
     ) -> [f64; 3] {
         let mut prior = Matrix::zeros();
@@ -470,21 +435,7 @@ impl Problem<'_> {
                     influence.iter_mut().zip(&block.parts[p]).for_each(|(i, part)| *i += factor * part);
                 }
             }
-            let shown = influence.each_mut().map(|influence| {
-                influence.iter_mut().zip(weights).for_each(|(i, w)| *i *= w);
-                let mut pixels = self.cosines.back(influence);
-                pixels.iter_mut().zip(block.shown).for_each(|(p, shown)| *p *= shown);
-                self.cosines.transform(&pixels)
-            });
-            let (rounding, texture) = (&self.channels.rounding[block.channel], &texture[block.channel]);
-            for (sum, (a, b)) in out.iter_mut().zip([(0, 0), (0, 1), (1, 1)]) {
-                *sum += (0..CELLS)
-                    .map(|k| {
-                        (rounding[k] + SAMPLES) * influence[a][k] * influence[b][k]
-                            + texture[self.classes[k]] * shown[a][k] * shown[b][k]
-                    })
-                    .sum::<f64>();
-            }
+            noise.add_variance(&mut out, influence, (block.channel, weights, block.shown), self.cosines);
         }
         out
     }

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 
 use super::kernels::exp_of_negative;
 use super::pixel_set::PixelSet;
-use super::scene::{RING_PX, Scene};
+use super::scene::{Ground, RING_PX, Scene};
 use super::whole::LEAST_GROWTH;
 use autoref_raster::Patch;
 
@@ -18,7 +18,7 @@ pub(super) fn relit(scene: &Scene<'_>) -> Option<Relit> {
     /// Lights that differ by less are one.
     const LEAST_RATIO: f64 = 1.25;
     /// Least share of the region on either side.
-    const LEAST_SHARE: f64 = 0.08;
+    const LEAST_SHARE: f64 = 0.05;
     /// Even light must explain nearly all of what differs: of marks in two lights it leaves up to a tenth, of worn,
     /// mixed or even ones over a quarter.
     const MOST_LEFT_OVER: f64 = 0.18;
@@ -37,7 +37,8 @@ pub(super) fn relit(scene: &Scene<'_>) -> Option<Relit> {
     let paint = first.lights_of(&seen)?.1;
     // The border runs on over the ground: there is more of it than of the paint, and it is seen on both sides of the
     // mark.
-    let line = lit_ground(scene, &first).and_then(|ground| Line::through(&lights(scene, paint, ground), Grid::COARSE));
+    let line = lit_ground(scene, &first, 2.0)
+        .and_then(|ground| Line::through(&lights(scene, paint, ground.mean), Grid::COARSE));
     // The paint alone is asked whether that is its border too.
     let own = |line: &Line| line.left_over(&seen) <= MOST_LEFT_OVER && line.parts(&seen) >= LEAST_SHARE;
     let line = line.into_iter().chain([first]).find(own)?;
@@ -296,11 +297,11 @@ fn differ(seen: &[Seen], ratio: f64, share: f64) -> bool {
     variance >= least
 }
 
-/// Colour of the ground in the light, in the ring around the mark.
-fn lit_ground(scene: &Scene<'_>, line: &Line) -> Option<Vector3<f64>> {
+/// The ground in the light so far from the border, in the ring around the mark.
+pub(super) fn lit_ground(scene: &Scene<'_>, line: &Line, clear_px: f64) -> Option<Ground> {
     let ring = scene.ring(RING_PX);
-    let lit = |i: usize| ring.has(i) && line.out((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5) > 2.0;
-    scene.statistics(&PixelSet::from_fn(scene.width, scene.height, lit)).map(|ground| ground.mean)
+    let out = |i: usize| line.out((i % scene.width) as f64 + 0.5, (i / scene.width) as f64 + 0.5);
+    scene.statistics(&PixelSet::from_fn(scene.width, scene.height, |i| ring.has(i) && out(i) > clear_px))
 }
 
 /// The light on each pixel about the mark, which is 1 where the two colours were seen: what it takes of both of them to

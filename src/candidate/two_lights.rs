@@ -4,7 +4,9 @@
 //! Dividing the darker part by a ratio ([`super::shadow`]) leaves a seam wherever border or ratio are a little off, and
 //! the fit of a shape takes the seam for an edge. Here the colours of the pixels themselves are the observations: a
 //! blurred shape of paint on ground, times the light, which falls across a straight blurred border. Where the border
-//! meets the outline, the product of two blurred pictures stands for the blurred product. Levenberg–Marquardt with
+//! meets the outline, the blurred product is more than the product of the two blurred pictures, to first order by the
+//! variance of the blur times the product of their slopes. A JPEG's coefficients are fitted again
+//! ([`super::two_lights_jpeg`]). Levenberg–Marquardt with
 //! Tukey's weights, as in [`super::fit`]; the covariance of the centre is that of correlated residuals (W. K. Newey and
 //! K. D. West, 1987).
 
@@ -14,19 +16,22 @@ use super::descent::{End, FIRST_DAMPING, Normal, Surface, Trust, at_rest, descen
 use super::fit::{Fit, Form, add_priors, correlated_scatter};
 use super::kernels::{self, Model, Sample, Samples};
 use super::pixel_set::PixelSet;
-use super::scene::Scene;
-use super::shadow::{Line, ramp};
+use super::scene::{Ground, Scene};
+use super::shadow::{Line, lit_ground, ramp};
+use super::two_lights_jpeg;
+use crate::segment::classify::Classifier;
 
 /// Parameters: centre x, y; logarithms of the sides; angle; logarithm of the blur; direction of the light, offset and
 /// logarithm of the width of the shadow's border; colours of paint and of ground in the light; the ratio of the lights
-/// by band.
-const PARAMETERS: usize = 18;
+/// by band; the slopes of the ground's colour in x and in y.
+pub(super) const PARAMETERS: usize = 24;
 const SHAPE: usize = 6;
 const BORDER: usize = 6;
-const PAINT: usize = 9;
+pub(super) const PAINT: usize = 9;
 const GROUND: usize = 12;
 const RATIO: usize = 15;
-type Vector = SVector<f64, PARAMETERS>;
+const SLOPES: usize = 18;
+pub(super) type Vector = SVector<f64, PARAMETERS>;
 type Matrix = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
 /// The fit sees this far outside the region.
@@ -37,6 +42,8 @@ const NOISE2: f64 = 9.0;
 const EDGE_SD: f64 = 0.08;
 /// Residuals beyond this many deviations lose their weight.
 const CUT: f64 = 4.7;
+/// Ground further from the border of the shadow is clear of it.
+const CLEAR_PX: f64 = 3.0;
 /// Rounds of weights.
 const ROUNDS: usize = 3;
 
@@ -46,10 +53,12 @@ pub(super) struct Centre {
     pub x: f64,
     pub y: f64,
     pub covariance_px2: [f64; 3],
+    /// Share of the squared distance to the centre by even light that stays in doubt.
+    pub doubt: f64,
 }
 
 /// Fits the mark whose pixels `own` about are, from the shape `start`, the border and the ratio of the lights.
-/// `texture` is the covariance of the ground in the light.
+/// `ground` is that of even light.
 ///
 /// `None` where the equations break down or the fit runs away from where it began.
 pub(super) fn fit(
@@ -57,7 +66,7 @@ pub(super) fn fit(
     own: &PixelSet,
     start: &Fit,
     (border, ratio): (&Line, [f64; 3]),
-    texture: Matrix3<f64>,
+    (classifier, ground): (&Classifier, &Ground),
 ) -> Option<Centre> {
     let hidden = scene.beside_other().minus(own);
     let (mut samples, mut colours) = (Samples::default(), Vec::new());
@@ -70,6 +79,9 @@ pub(super) fn fit(
         return None;
     }
     let side_px = (start.sides_px[0] * start.sides_px[1]).sqrt();
+    // Beside the border the light that was divided out leaves colours that no ground has, most of all in a JPEG.
+    let lit = lit_ground(scene, border, CLEAR_PX);
+    let ground = lit.as_ref().unwrap_or(ground);
     let mut lights = Lights {
         form: start.form,
         samples,
@@ -78,7 +90,7 @@ pub(super) fn fit(
         start: (start.x, start.y),
         side_px,
         width_px: border.width,
-        texture,
+        texture: ground.covariance,
     };
     let mut p = lights.first(start, border, ratio);
     lights.reweigh(&p, Trust::Even);
@@ -87,10 +99,11 @@ pub(super) fn fit(
         p = descend(&lights, p, normal, if round == 0 { 30 } else { 12 }, &mut { FIRST_DAMPING }).map(End::place)?;
         lights.reweigh(&p, Trust::Robust);
     }
-    lights.report(&p)
+    let by_pixels = lights.report(&p)?;
+    Some(two_lights_jpeg::refine(scene, classifier, start, (&p, &lights), ground).unwrap_or(by_pixels))
 }
 
-struct Lights {
+pub(super) struct Lights {
     form: Form,
     /// Places only.
     samples: Samples,
@@ -104,18 +117,28 @@ struct Lights {
 }
 
 /// What the model says of a pixel.
-struct At {
-    i: usize,
+pub(super) struct At {
+    pub i: usize,
+    /// What blurring light and shape together adds to the product of both blurred.
+    pub both: f64,
     place: [f64; 2],
+    /// From where the shape began.
+    off: [f64; 2],
     /// Share of paint, with its gradient by the shape.
-    share: f64,
+    pub share: f64,
     by_shape: [f64; SHAPE],
     /// Light from 0 to 1, with its gradient by the border.
-    light: f64,
+    pub light: f64,
     by_border: [f64; 3],
 }
 
 impl Lights {
+    /// The same model, seen at other places.
+    pub fn elsewhere(&self, samples: Samples) -> Lights {
+        let Lights { form, start, side_px, width_px, texture, .. } = *self;
+        Lights { form, samples, colours: Vec::new(), weights: Vec::new(), start, side_px, width_px, texture }
+    }
+
     /// Where the descent begins.
     fn first(&self, start: &Fit, border: &Line, ratio: [f64; 3]) -> Vector {
         let (x, y) = self.start;
@@ -154,7 +177,7 @@ impl Lights {
     }
 
     /// Calls `act` with what the model says of every pixel.
-    fn each(&self, p: &Vector, mut act: impl FnMut(At)) {
+    pub fn each(&self, p: &Vector, mut act: impl FnMut(At)) {
         let (sin, cos) = p[4].sin_cos();
         let (a, b) = (p[2].exp(), p[3].exp());
         let shape = Model {
@@ -178,18 +201,22 @@ impl Lights {
             let light = ramp(t);
             let slope = 1.702 * light * (1.0 - light);
             let by_border = [slope * (y * turn_cos - x * turn_sin) / width, -slope / width, -slope * t];
-            let by_shape = std::array::from_fn(|k| gradient[k]);
-            act(At { i, place, share: -left, by_shape, light, by_border });
+            let by_shape: [f64; SHAPE] = std::array::from_fn(|k| gradient[k]);
+            let along = by_shape[0] * turn_cos + by_shape[1] * turn_sin;
+            let both = -(2.0 * p[5]).exp() * along * slope / width;
+            act(At { i, both, off: [x, y], place, share: -left, by_shape, light, by_border });
         });
     }
 
     /// As [`add_priors`] takes them.
-    fn priors(&self, p: &Vector) -> Vec<(f64, [(usize, f64); 2])> {
+    pub fn priors(&self, p: &Vector) -> Vec<(f64, [(usize, f64); 2])> {
         const ASPECT: f64 = 0.1;
         const BLUR: f64 = 0.4;
         const SIZE: f64 = 0.5;
         const WIDTH: f64 = 0.5;
         const OF_RATIO: f64 = 0.15;
+        /// Levels a pixel.
+        const SLOPE: f64 = 1.0;
         let mut priors = vec![
             ((p[2] - p[3]) / ASPECT, [(2, 1.0 / ASPECT), (3, -1.0 / ASPECT)]),
             (((p[2] + p[3]) / 2.0 - self.side_px.ln()) / SIZE, [(2, 0.5 / SIZE), (3, 0.5 / SIZE)]),
@@ -200,18 +227,20 @@ impl Lights {
         let mean = (p[RATIO] + p[RATIO + 1] + p[RATIO + 2]) / 3.0;
         for c in 0..3 {
             priors.push(((p[RATIO + c] - mean) / OF_RATIO, [(RATIO + c, 1.0 / OF_RATIO), (RATIO + c, 0.0)]));
+            for k in [SLOPES + c, SLOPES + 3 + c] {
+                priors.push((p[k] / SLOPE, [(k, 1.0 / SLOPE), (k, 0.0)]));
+            }
         }
         priors
     }
 
     /// Weights from what texture, noise and edges are expected to leave over; robust ones also from what is left over.
     fn reweigh(&mut self, p: &Vector, trust: Trust) {
-        let step = Vector3::from_fn(|c, _| p[PAINT + c] - p[GROUND + c]);
         let mut weights = Vec::with_capacity(self.colours.len());
         self.each(p, |at| {
             let light = Vector3::from_fn(|c, _| light(p, c, at.light));
             let lit = light.sum() / 3.0;
-            let edge = step.component_mul(&light);
+            let edge = Vector3::from_fn(|c, _| (p[PAINT + c] - ground_at(p, c, &at)) * light[c]);
             let v = at.share;
             let variance = self.texture * (lit * lit * (1.0 - v) * (1.0 - v))
                 + Matrix3::identity() * NOISE2
@@ -231,16 +260,21 @@ impl Lights {
     }
 
     /// The derivatives of a pixel's colour, a row a band.
-    fn jacobian(p: &Vector, at: &At) -> SMatrix<f64, 3, PARAMETERS> {
+    pub fn jacobian(p: &Vector, at: &At) -> SMatrix<f64, 3, PARAMETERS> {
         let mut j = SMatrix::<f64, 3, PARAMETERS>::zeros();
         for c in 0..3 {
-            let (step, light) = (p[PAINT + c] - p[GROUND + c], light(p, c, at.light));
-            let base = p[GROUND + c] + at.share * step;
+            let (ground, light, dark) = (ground_at(p, c, at), light(p, c, at.light), 1.0 - p[RATIO + c]);
+            let step = p[PAINT + c] - ground;
+            let base = ground + at.share * step;
             (0..SHAPE).for_each(|k| j[(c, k)] = light * step * at.by_shape[k]);
-            (0..3).for_each(|k| j[(c, BORDER + k)] = base * (1.0 - p[RATIO + c]) * at.by_border[k]);
-            j[(c, PAINT + c)] = at.share * light;
-            j[(c, GROUND + c)] = (1.0 - at.share) * light;
-            j[(c, RATIO + c)] = base * (1.0 - at.light);
+            (0..3).for_each(|k| j[(c, BORDER + k)] = base * dark * at.by_border[k]);
+            let by_step = at.share * light + dark * at.both;
+            j[(c, PAINT + c)] = by_step;
+            let by_ground = light - by_step;
+            j[(c, GROUND + c)] = by_ground;
+            j[(c, SLOPES + c)] = by_ground * at.off[0];
+            j[(c, SLOPES + 3 + c)] = by_ground * at.off[1];
+            j[(c, RATIO + c)] = base * (1.0 - at.light) - step * at.both;
         }
         j
     }
@@ -273,13 +307,14 @@ impl Lights {
         /// What the residuals do not show: the error of the border's shape, measured on drawn marks.
         const UNSEEN: f64 = 3.0;
         const OF_SIDE: f64 = 0.006;
+        const DOUBT: f64 = 0.25;
         let scatter = correlated_scatter(&pushes);
         let side_px = ((p[2] + if self.form == Form::Disc { p[2] } else { p[3] }) / 2.0).exp();
         let ratio = (p[RATIO] + p[RATIO + 1] + p[RATIO + 2]) / 3.0;
         let floor = (OF_SIDE * side_px).powi(2);
         let covariance_px2 = [UNSEEN * scatter[0] + floor, UNSEEN * scatter[1], UNSEEN * scatter[2] + floor];
         let sane = p.iter().chain(&covariance_px2).all(|v| v.is_finite()) && (0.02..1.0).contains(&ratio);
-        sane.then(|| Centre { x: p[0], y: p[1], covariance_px2 })
+        sane.then(|| Centre { x: p[0], y: p[1], covariance_px2, doubt: DOUBT })
     }
 }
 
@@ -306,18 +341,29 @@ impl Surface<PARAMETERS> for Lights {
 }
 
 /// Light on a band, 1 beside the shadow.
-fn light(p: &Vector, c: usize, light: f64) -> f64 {
+pub(super) fn light(p: &Vector, c: usize, light: f64) -> f64 {
     p[RATIO + c] + (1.0 - p[RATIO + c]) * light
 }
 
-fn model(p: &Vector, at: &At) -> Vector3<f64> {
-    Vector3::from_fn(|c, _| (p[GROUND + c] + at.share * (p[PAINT + c] - p[GROUND + c])) * light(p, c, at.light))
+/// A band of the ground's colour at a pixel, in the light.
+fn ground_at(p: &Vector, c: usize, at: &At) -> f64 {
+    p[GROUND + c] + at.off[0] * p[SLOPES + c] + at.off[1] * p[SLOPES + 3 + c]
+}
+
+pub(super) fn model(p: &Vector, at: &At) -> Vector3<f64> {
+    Vector3::from_fn(|c, _| {
+        let ground = ground_at(p, c, at);
+        let step = p[PAINT + c] - ground;
+        (ground + at.share * step) * light(p, c, at.light) + step * (1.0 - p[RATIO + c]) * at.both
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::drawn::{SIDE, colour, inside, patch_of};
     use super::*;
+    use crate::profile::Profile;
+    use autoref_raster::SampleType;
 
     #[test]
     fn the_centre_of_a_mark_in_two_lights_is_found_from_a_start_a_pixel_off() {
@@ -356,11 +402,54 @@ mod tests {
         };
         let norm = 1.0f64.hypot(0.3);
         let border = Line { direction: (-1.0 / norm, -0.3 / norm), offset: -31.8 / norm, width: 1.0 };
-        let texture = Matrix3::identity() * 2.0;
-        let centre = fit(&scene, &own, &start, (&border, [0.5; 3]), texture).expect("a plain case");
+        let ground = Ground { mean: colour(0, false).into(), covariance: Matrix3::identity() * 2.0, count: 100 };
+        let profile = Profile::builtin("orange").expect("it ships");
+        let classifier = Classifier::new(&profile, SampleType::U8, 255, [0, 1, 2], None, None).expect("valid");
+        let lights = (&border, [0.5; 3]);
+        let centre = fit(&scene, &own, &start, lights, (&classifier, &ground)).expect("a plain case");
         let off = (centre.x - 24.3).hypot(centre.y - 23.8);
         assert!(off < 0.05, "{centre:?}");
         let [xx, xy, yy] = centre.covariance_px2;
         assert!(xx > 0.0 && yy > 0.0 && xx * yy > xy * xy && (xx + yy).sqrt() < 0.5, "{centre:?}");
+    }
+
+    #[test]
+    fn the_derivatives_are_those_of_the_model() {
+        let samples: Samples =
+            (0..400).map(|i| Sample { x: f64::from(i % 20) + 0.5, y: f64::from(i / 20) + 0.5, share: 0.0 }).collect();
+        let lights = Lights {
+            form: Form::Rectangle,
+            samples,
+            colours: Vec::new(),
+            weights: Vec::new(),
+            start: (10.0, 10.0),
+            side_px: 8.0,
+            width_px: 1.0,
+            texture: Matrix3::identity(),
+        };
+        let p = Vector::from_column_slice(&[
+            10.2, 9.7, 2.1, 2.0, 0.3, 0.0, 0.5, 1.0, 0.1, 250.0, 100.0, 20.0, 120.0, 110.0, 90.0, 0.4, 0.42, 0.5, 0.3,
+            -0.2, 0.1, 0.4, 0.2, -0.1,
+        ]);
+        let values = |p: &Vector| {
+            let mut all = Vec::new();
+            lights.each(p, |at| all.push(model(p, &at)));
+            all
+        };
+        let mut derivatives = Vec::new();
+        lights.each(&p, |at| derivatives.push(Lights::jacobian(&p, &at)));
+        // What is held fixed in the derivatives by shape and border, the blur of both together, is small.
+        for k in 0..PARAMETERS {
+            let step = Vector::from_fn(|i, _| if i == k { 1e-4 } else { 0.0 });
+            let (after, before) = (values(&(p + step)), values(&(p - step)));
+            let (mut off, mut all) = (0.0, 0.0);
+            for ((after, before), derivative) in after.iter().zip(&before).zip(&derivatives) {
+                let slope = (after - before) / 2e-4;
+                off += (slope - derivative.column(k)).norm_squared();
+                all += slope.norm_squared();
+            }
+            let most = if k < PAINT { 0.05 } else { 1e-9 };
+            assert!(off < most * all, "{k}: {off} of {all}");
+        }
     }
 }
