@@ -44,56 +44,52 @@ impl<const BITS: u32> FloatHistogram<BITS> {
         self.total
     }
 
-    pub fn counts(&self) -> &[u64] {
-        &self.counts
+    /// The buckets that hold values.
+    pub fn filled(&self) -> Filled<BITS> {
+        let buckets = (0..).zip(&self.counts).filter(|(_, count)| **count > 0).map(|(bucket, &count)| (bucket, count));
+        Filled { buckets: buckets.collect(), total: self.total }
     }
+}
 
-    /// Smallest and largest value of a bucket.
-    pub fn edges(bucket: usize) -> (f32, f32) {
-        let low = (bucket as u32) << (32 - BITS);
-        (from_order_key(low), from_order_key(low | ((1u64 << (32 - BITS)) - 1) as u32))
-    }
+/// Buckets of a [`FloatHistogram`] that hold values, in their order, and how many.
+pub struct Filled<const BITS: u32> {
+    buckets: Vec<(u32, u64)>,
+    total: u64,
+}
 
-    /// The bucket of the value of this rank (from 0), and how many values lie in buckets before it. `None` beyond the
-    /// end.
-    pub fn bucket_of_rank(&self, rank: u64) -> Option<(usize, u64)> {
-        let mut before = 0;
-        for (bucket, &count) in self.counts.iter().enumerate() {
-            if rank < before + count {
-                return Some((bucket, before));
-            }
-            before += count;
-        }
-        None
+/// A run of them.
+#[derive(Clone, Copy)]
+struct Run<'a, const BITS: u32> {
+    buckets: &'a [(u32, u64)],
+    total: u64,
+}
+
+impl<const BITS: u32> Filled<BITS> {
+    fn all(&self) -> Run<'_, BITS> {
+        Run { buckets: &self.buckets, total: self.total }
     }
 
     /// The quantile, interpolated within its bucket: good to a part of the bucket's relative width. `None` when empty.
     pub fn quantile(&self, share: f64) -> Option<f64> {
-        if self.total == 0 {
-            return None;
-        }
-        let rank = share.clamp(0.0, 1.0) * (self.total - 1) as f64;
-        let (bucket, before) = self.bucket_of_rank(rank as u64)?;
-        let (low, high) = Self::edges(bucket);
-        let within = (rank - before as f64 + 0.5) / self.counts[bucket] as f64;
-        let (low, high) = (f64::from(low), f64::from(high));
-        let value = low + (high - low) * within.clamp(0.0, 1.0);
-        Some(if value.abs() > 1e-30 && value.is_finite() { value } else { 0.0 })
+        self.all().quantile(share)
+    }
+
+    /// The median distance from `centre`, to the resolution of the buckets.
+    pub fn median_distance(&self, centre: f64) -> f64 {
+        self.all().median_distance(centre)
     }
 
     /// The mean of the values at most `reach` from `centre`, to the resolution of the buckets; `None` where there are
     /// none.
     pub fn mean_within(&self, centre: f64, reach: f64) -> Option<f64> {
-        let (mut sum, mut count) = (0.0, 0u64);
-        for (bucket, &here) in self.counts.iter().enumerate().filter(|(_, here)| **here > 0) {
-            let (low, high) = Self::edges(bucket);
-            let off = (f64::from(low) + f64::from(high)) / 2.0 - centre;
-            if off.abs() <= reach {
-                sum += off * here as f64;
-                count += here;
-            }
-        }
-        (count > 0).then(|| centre + sum / count as f64)
+        let kept = self.all().within(centre, reach);
+        let off = |&(bucket, count): &(u32, u64)| (middle::<BITS>(bucket) - centre) * count as f64;
+        (kept.total > 0).then(|| centre + kept.buckets.iter().map(off).sum::<f64>() / kept.total as f64)
+    }
+
+    /// The share of the values at most `reach` from `centre`, to the resolution of the buckets; 1 when empty.
+    pub fn share_within(&self, centre: f64, reach: f64) -> f64 {
+        if self.total == 0 { 1.0 } else { self.all().within(centre, reach).total as f64 / self.total as f64 }
     }
 
     /// The shortest interval that holds half of the values: its middle and half its length, to the resolution of the
@@ -101,15 +97,9 @@ impl<const BITS: u32> FloatHistogram<BITS> {
     /// squares regression*, 1984). `None` when empty.
     pub fn shortest_half(&self) -> Option<(f64, f64)> {
         let half = self.total.div_ceil(2);
-        let filled: Vec<(usize, u64)> = self
-            .counts
-            .iter()
-            .enumerate()
-            .filter(|(_, count)| **count > 0)
-            .map(|(bucket, &count)| (bucket, count))
-            .collect();
+        let filled = &self.buckets;
         let (mut best, mut end, mut inside) = (None, 0, 0);
-        for &(first, count) in &filled {
+        for &(first, count) in filled {
             while inside < half && end < filled.len() {
                 inside += filled[end].1;
                 end += 1;
@@ -120,7 +110,7 @@ impl<const BITS: u32> FloatHistogram<BITS> {
             let (last, in_last) = filled[end - 1];
             // The part of the last bucket that is not needed.
             let spare = (inside - half) as f64 / in_last as f64;
-            let (low, (from, to)) = (f64::from(Self::edges(first).0), Self::edges(last));
+            let (low, (from, to)) = (f64::from(edges::<BITS>(first).0), edges::<BITS>(last));
             let high = f64::from(to) - spare * (f64::from(to) - f64::from(from));
             if best.is_none_or(|(_, shortest)| (high - low) / 2.0 < shortest) {
                 best = Some(((low + high) / 2.0, (high - low) / 2.0));
@@ -131,8 +121,8 @@ impl<const BITS: u32> FloatHistogram<BITS> {
     }
 
     /// Median and standard deviation of the core: of the values within three standard deviations of their median, found
-    /// from [`FloatHistogram::shortest_half`] on until they stay the same. Values that lie apart to one side draw
-    /// neither. `None` when empty.
+    /// from [`Filled::shortest_half`] on until they stay the same. Values that lie apart to one side draw neither.
+    /// `None` when empty.
     pub fn core(&self) -> Option<(f64, f64)> {
         /// Of normal values within three standard deviations the median of |z|.
         const TRUNCATED_MEDIAN: f64 = 0.672_0;
@@ -140,7 +130,7 @@ impl<const BITS: u32> FloatHistogram<BITS> {
         let (mut middle, half) = self.shortest_half()?;
         let mut scale = half / 0.674_5;
         for _ in 0..MOST_TURNS {
-            let kept = self.within(middle, 3.0 * scale);
+            let kept = self.all().within(middle, 3.0 * scale);
             let Some(median) = kept.quantile(0.5) else { break };
             let next = kept.median_distance(median) / TRUNCATED_MEDIAN;
             let still = (median - middle).abs() <= 1e-4 * scale && (next - scale).abs() <= 1e-4 * scale;
@@ -151,55 +141,68 @@ impl<const BITS: u32> FloatHistogram<BITS> {
         }
         Some((middle, scale))
     }
+}
 
-    /// The share of the values at most `reach` from `centre`, to the resolution of the buckets; 1 when empty.
-    pub fn share_within(&self, centre: f64, reach: f64) -> f64 {
-        if self.total == 0 { 1.0 } else { self.within(centre, reach).total as f64 / self.total as f64 }
+impl<'a, const BITS: u32> Run<'a, BITS> {
+    /// The buckets whose middles lie at most `reach` from `centre`.
+    fn within(self, centre: f64, reach: f64) -> Run<'a, BITS> {
+        let from = self.buckets.partition_point(|&(bucket, _)| middle::<BITS>(bucket) - centre < -reach);
+        let to = self.buckets.partition_point(|&(bucket, _)| middle::<BITS>(bucket) - centre <= reach);
+        let buckets = &self.buckets[from..to.max(from)];
+        Run { buckets, total: buckets.iter().map(|(_, count)| count).sum() }
     }
 
-    /// The values at most `reach` from `centre`, to the resolution of the buckets.
-    fn within(&self, centre: f64, reach: f64) -> Self {
-        let mut kept = FloatHistogram::default();
-        for (bucket, &count) in self.counts.iter().enumerate().filter(|(_, count)| **count > 0) {
-            let (low, high) = Self::edges(bucket);
-            if ((f64::from(low) + f64::from(high)) / 2.0 - centre).abs() <= reach {
-                kept.counts[bucket] = count;
-                kept.total += count;
-            }
-        }
-        kept
-    }
-
-    /// The median distance from `centre`, to the resolution of the buckets.
-    pub fn median_distance(&self, centre: f64) -> f64 {
+    fn quantile(self, share: f64) -> Option<f64> {
         if self.total == 0 {
-            return f64::NAN;
+            return None;
         }
-        // Walk outwards from the centre, bucket by bucket, by distance of the bucket's middle.
-        let mut distances: Vec<(f64, u64)> = self
-            .counts
-            .iter()
-            .enumerate()
-            .filter(|(_, count)| **count > 0)
-            .map(|(bucket, &count)| {
-                let (low, high) = Self::edges(bucket);
-                let middle = (f64::from(low) + f64::from(high)) / 2.0;
-                // The bucket of the exact zeros holds them and the smallest numbers there are.
-                let middle = if middle.abs() < 1e-30 { 0.0 } else { middle };
-                ((middle - centre).abs(), count)
-            })
-            .collect();
-        distances.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let rank = share.clamp(0.0, 1.0) * (self.total - 1) as f64;
+        let mut before = 0;
+        let &(bucket, count) = self.buckets.iter().find(|(_, count)| {
+            before += count;
+            (rank as u64) < before
+        })?;
+        let (low, high) = edges::<BITS>(bucket);
+        let within = (rank - (before - count) as f64 + 0.5) / count as f64;
+        let (low, high) = (f64::from(low), f64::from(high));
+        let value = low + (high - low) * within.clamp(0.0, 1.0);
+        Some(if value.abs() > 1e-30 && value.is_finite() { value } else { 0.0 })
+    }
+
+    fn median_distance(self, centre: f64) -> f64 {
+        // The bucket of the exact zeros holds them and the smallest numbers there are.
+        let from_centre = |bucket: u32| {
+            let middle = middle::<BITS>(bucket);
+            if middle.abs() < 1e-30 { -centre } else { middle - centre }
+        };
+        let above = self.buckets.partition_point(|&(bucket, _)| from_centre(bucket) < 0.0);
+        let (below, above) = self.buckets.split_at(above);
+        // Outwards from the centre, the nearer bucket of both sides first.
+        let (mut below, mut above) = (below.iter().rev().peekable(), above.iter().peekable());
         let half = self.total.div_ceil(2);
         let mut before = 0;
-        for (distance, count) in distances {
+        loop {
+            let down = below.peek().map_or(f64::INFINITY, |(bucket, _)| -from_centre(*bucket));
+            let up = above.peek().map_or(f64::INFINITY, |(bucket, _)| from_centre(*bucket));
+            let next = if down < up { below.next() } else { above.next().or_else(|| below.next()) };
+            let Some((_, count)) = next else { return f64::NAN };
             before += count;
             if before >= half {
-                return distance;
+                return down.min(up);
             }
         }
-        f64::NAN
     }
+}
+
+/// Smallest and largest value of a bucket.
+fn edges<const BITS: u32>(bucket: u32) -> (f32, f32) {
+    let low = bucket << (32 - BITS);
+    (from_order_key(low), from_order_key(low | ((1u64 << (32 - BITS)) - 1) as u32))
+}
+
+fn middle<const BITS: u32>(bucket: u32) -> f64 {
+    let (low, high) = edges::<BITS>(bucket);
+    (f64::from(low) + f64::from(high)) / 2.0
 }
 
 #[cfg(test)]
@@ -224,14 +227,18 @@ mod tests {
         // Seven in ten between 9 and 11, three at −30.
         (0..7000).for_each(|i| histogram.add(9.0 + i as f32 / 3500.0));
         (0..3000).for_each(|_| histogram.add(-30.0));
-        let (middle, half) = histogram.shortest_half().expect("not empty");
+        let (middle, half) = histogram.filled().shortest_half().expect("not empty");
         assert!((middle - 10.0).abs() < 0.3 && (half - 5.0 / 7.0).abs() < 0.01, "{middle}, {half}");
-        let (median, scale) = histogram.core().expect("not empty");
+        let (median, scale) = histogram.filled().core().expect("not empty");
         assert!((median - 10.0).abs() < 0.01 && scale < 0.8, "{median}, {scale}");
-        assert_eq!(FloatHistogram::<20>::default().core(), None);
+        assert_eq!(FloatHistogram::<20>::default().filled().core(), None);
         let mut equal = FloatHistogram::<20>::default();
         (0..5).for_each(|_| equal.add(0.0));
-        assert!(equal.core().is_some_and(|(median, scale)| median == 0.0 && scale < 1e-30), "{:?}", equal.core());
+        assert!(
+            equal.filled().core().is_some_and(|(median, scale)| median == 0.0 && scale < 1e-30),
+            "{:?}",
+            equal.filled().core()
+        );
     }
 
     #[test]
@@ -242,7 +249,7 @@ mod tests {
         }
         for share in [0.1, 0.25, 0.5, 0.9] {
             let exact = -50.0 + 100.0 * share;
-            let found = histogram.quantile(share).expect("not empty");
+            let found = histogram.filled().quantile(share).expect("not empty");
             assert!((found - exact).abs() <= 0.01 + 0.01 * f64::abs(exact), "{share}: {found} for {exact}");
         }
     }

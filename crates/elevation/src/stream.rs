@@ -40,6 +40,18 @@ impl Means {
         Means { tile_px: cells / rows, tile_rows_px: rows, ..self }
     }
 
+    /// Tiles small enough that every thread has some of a raster that is no tile long; not where starting threads
+    /// takes as long as the work.
+    pub fn shared_out(self, width: u64, height: u64) -> Means {
+        const FEWEST_CELLS: u64 = 1 << 15;
+        const TILES_A_THREAD: u64 = 4;
+        let (cells, threads) = (width * height, self.threads as u64);
+        if threads < 2 || cells < FEWEST_CELLS || self.tiles(width, height).len() >= TILES_A_THREAD * threads {
+            return self;
+        }
+        Means::square((cells / (TILES_A_THREAD * threads)).isqrt().max(BLOCK_PX), self.threads)
+    }
+
     /// The tiles of a raster.
     pub fn tiles(&self, width: u64, height: u64) -> TileGrid {
         let [across, down] = [self.tile_px, self.tile_rows_px].map(|px| px.max(1).next_multiple_of(BLOCK_PX));

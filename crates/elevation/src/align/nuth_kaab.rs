@@ -216,6 +216,7 @@ fn step(pair: &Pair<'_>, state: &State, means: Means, (rows_apart, reach_m): (u6
         differences.merge(&part.differences);
         classes.iter_mut().zip(&part.classes).for_each(|(a, b)| a.merge(b));
     }
+    let differences = differences.filled();
     let (height_m, scale_m) = differences.core().unwrap_or((0.0, 0.0));
     let kept = differences.share_within(height_m, KEPT * scale_m);
     let reach_m = if kept < MOSTLY { KEPT * scale_m } else { f64::INFINITY };
@@ -229,7 +230,7 @@ fn cosine(classes: &[FloatHistogram<BITS>]) -> Option<(f64, f64)> {
         let direction = ((index as f64 + 0.5) / ASPECTS as f64 - 0.5) * std::f64::consts::TAU;
         let row = Vector3::new(direction.cos(), direction.sin(), 1.0);
         matrix += row * row.transpose();
-        right += row * class.quantile(0.5)?;
+        right += row * class.filled().quantile(0.5)?;
         filled += 1;
     }
     if filled < ASPECTS / 4 {

@@ -317,15 +317,16 @@ impl Fitter<'_> {
         for (index, level) in levels.iter().enumerate().rev() {
             let pair = level.pair(self.full);
             let grid = level.template.grid();
+            let fitter = Fitter { means: self.means.shared_out(grid.width, grid.height), ..*self };
             let mut settled: Vec<(State, f64)> = Vec::new();
             for (mut state, misfit) in candidates {
                 if misfit.is_infinite() {
-                    state.surface.coefficients[0] = super::spread::of(&pair, &state, self.means)?.median;
+                    state.surface.coefficients[0] = super::spread::of(&pair, &state, fitter.means)?.median;
                     if !state.surface.coefficients[0].is_finite() {
                         continue;
                     }
                 }
-                match self.settle_centred(&pair, state, free)? {
+                match fitter.settle_centred(&pair, state, free)? {
                     Some(end) => {
                         let near = |other: &State| {
                             let x = (other.shift.0 - end.state.shift.0) / grid.step_x;

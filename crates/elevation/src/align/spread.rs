@@ -91,12 +91,13 @@ pub fn of(pair: &Pair<'_>, state: &State, means: Means) -> Result<Spread> {
         histogram.merge(&part.histogram);
         zeros.merge(part.zeros);
     }
-    let median = histogram.quantile(0.5).unwrap_or(f64::NAN);
-    let nmad = 1.4826 * histogram.median_distance(median);
-    let (centre, scale) = histogram.core().filter(|(_, scale)| nmad > WIDENED * scale).unwrap_or((median, nmad));
-    let mean = histogram.mean_within(centre, CLIP * scale).unwrap_or(f64::NAN);
-    let (densest, half) = histogram.shortest_half().unwrap_or((f64::NAN, f64::NAN));
-    let scale_zero = 1.4826 * histogram.median_distance(0.0);
+    let filled = histogram.filled();
+    let median = filled.quantile(0.5).unwrap_or(f64::NAN);
+    let nmad = 1.4826 * filled.median_distance(median);
+    let (centre, scale) = filled.core().filter(|(_, scale)| nmad > WIDENED * scale).unwrap_or((median, nmad));
+    let mean = filled.mean_within(centre, CLIP * scale).unwrap_or(f64::NAN);
+    let (densest, half) = filled.shortest_half().unwrap_or((f64::NAN, f64::NAN));
+    let scale_zero = 1.4826 * filled.median_distance(0.0);
     Ok(Spread {
         median,
         nmad,
