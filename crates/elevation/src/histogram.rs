@@ -13,29 +13,41 @@ pub fn from_order_key(key: u32) -> f32 {
     f32::from_bits(if key >> 31 == 1 { key & 0x7fff_ffff } else { !key })
 }
 
-/// Counts of values by the leading `BITS` bits of their order key.
+/// Buckets of a page, by their last bits.
+const PAGE_BITS: u32 = 10;
+
+type Page = Box<[u64; 1 << PAGE_BITS]>;
+
+/// Counts of values by the leading `BITS` bits of their order key, more than ten. Values lie close together: pages of
+/// buckets are there once one of theirs came.
 #[derive(Clone)]
 pub struct FloatHistogram<const BITS: u32> {
-    counts: Vec<u64>,
+    pages: Vec<Option<Page>>,
     total: u64,
 }
 
 impl<const BITS: u32> Default for FloatHistogram<BITS> {
     fn default() -> Self {
-        FloatHistogram { counts: vec![0; 1 << BITS], total: 0 }
+        FloatHistogram { pages: vec![None; 1 << (BITS - PAGE_BITS)], total: 0 }
     }
 }
 
 impl<const BITS: u32> FloatHistogram<BITS> {
     #[inline]
     pub fn add(&mut self, value: f32) {
-        self.counts[(order_key(value) >> (32 - BITS)) as usize] += 1;
+        let bucket = (order_key(value) >> (32 - BITS)) as usize;
+        let page = self.pages[bucket >> PAGE_BITS].get_or_insert_with(|| Box::new([0; 1 << PAGE_BITS]));
+        page[bucket & ((1 << PAGE_BITS) - 1)] += 1;
         self.total += 1;
     }
 
     pub fn merge(&mut self, other: &Self) {
-        for (mine, theirs) in self.counts.iter_mut().zip(&other.counts) {
-            *mine += theirs;
+        for (mine, theirs) in self.pages.iter_mut().zip(&other.pages) {
+            match (mine, theirs) {
+                (Some(mine), Some(theirs)) => mine.iter_mut().zip(theirs.iter()).for_each(|(a, b)| *a += b),
+                (mine @ None, Some(theirs)) => *mine = Some(theirs.clone()),
+                (_, None) => {}
+            }
         }
         self.total += other.total;
     }
@@ -46,7 +58,9 @@ impl<const BITS: u32> FloatHistogram<BITS> {
 
     /// The buckets that hold values.
     pub fn filled(&self) -> Filled<BITS> {
-        let buckets = (0..).zip(&self.counts).filter(|(_, count)| **count > 0).map(|(bucket, &count)| (bucket, count));
+        let pages = (0u32..).zip(&self.pages).filter_map(|(number, page)| Some((number << PAGE_BITS, page.as_ref()?)));
+        let buckets = pages.flat_map(|(first, page)| (first..).zip(page.iter()).filter(|(_, count)| **count > 0));
+        let buckets = buckets.map(|(bucket, &count)| (bucket, count));
         Filled { buckets: buckets.collect(), total: self.total }
     }
 }
