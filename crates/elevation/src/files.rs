@@ -80,6 +80,11 @@ impl Resources {
         (self.spare_bytes() / 2 / 110).clamp(60_000, 1_500_000)
     }
 
+    /// Cells of four bytes that a comparison keeps of what its first pass saw: it holds no model beside them.
+    pub fn kept_cells(&self) -> u64 {
+        self.held_cells().max(self.spare_bytes() / 3 / 4)
+    }
+
     /// Cells of two models together that are held whole, four bytes each: a fifth of the budget.
     pub fn held_cells(&self) -> u64 {
         self.memory_budget_bytes / 5 / 4

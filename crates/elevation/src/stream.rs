@@ -43,7 +43,7 @@ impl Means {
     /// Tiles small enough that every thread has some of a raster that is no tile long; not where starting threads
     /// takes as long as the work.
     pub fn shared_out(self, width: u64, height: u64) -> Means {
-        const FEWEST_CELLS: u64 = 1 << 15;
+        const FEWEST_CELLS: u64 = 1 << 17;
         const TILES_A_THREAD: u64 = 4;
         let (cells, threads) = (width * height, self.threads as u64);
         if threads < 2 || cells < FEWEST_CELLS || self.tiles(width, height).len() >= TILES_A_THREAD * threads {

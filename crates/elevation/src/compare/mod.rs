@@ -233,7 +233,7 @@ impl CompareJob<'_> {
         if couple.a.grid().overlap(&grid).is_none() {
             return Err(nothing());
         }
-        let room = Room { held_cells: self.resources.held_cells(), scratch: Some(folder) };
+        let room = Room { held_cells: self.resources.kept_cells(), scratch: Some(folder) };
         let mut scan = Scan {
             grid,
             unit: couple.b.ground_unit(),
