@@ -74,8 +74,8 @@ pub fn words(bytes: &[u8], out: &mut [u16], order: ByteOrder) {
     }
 }
 
-/// Turns a row of differences of bytes, which lie by their weight with the heaviest first, into numbers (Adobe Photoshop
-/// TIFF Technical Note 3, 2005, predictor 3). The bytes are left as sums.
+/// Turns a row of differences of bytes, which lie by their weight with the heaviest first, into numbers (Adobe
+/// Photoshop TIFF Technical Note 3, 2005, predictor 3). The bytes are left as sums.
 pub fn undo_floats(kernel: Kernel, bytes: &mut [u8], out: &mut [f32]) {
     let count = out.len();
     debug_assert_eq!(bytes.len(), 4 * count, "four bytes a number");
