@@ -241,7 +241,7 @@ impl Basis {
 }
 
 /// Blocks of which fewer cells were seen do not count.
-pub(super) const LEAST_SEEN: usize = 44;
+const LEAST_SEEN: usize = 44;
 
 /// A block in coefficients, seen in one channel.
 struct Seen<'a> {
@@ -263,6 +263,13 @@ struct Block {
     open: f64,
 }
 
+/// The blocks of which enough is seen: their numbers, and 1 for each cell that is.
+pub(super) fn seen_blocks(seen: &[bool], width: usize) -> impl Iterator<Item = (usize, Cells)> {
+    let mask: Vec<f64> = seen.iter().map(|&s| f64::from(u8::from(s))).collect();
+    let blocks = (0..seen.len() / CELLS).map(move |b| (b, block(&mask, width, b)));
+    blocks.filter(|(_, mask)| mask.iter().filter(|&&m| m > 0.0).count() >= LEAST_SEEN)
+}
+
 /// Transforms the blocks of one resolution: `pixel` is that of its cells, `data` the channels.
 fn add_blocks(
     out: &mut Vec<Block>,
@@ -273,12 +280,7 @@ fn add_blocks(
 ) {
     /// Paint is worn, most up to a fifth: so much of the ground's texture shows on it.
     const WORN: f64 = 0.02;
-    let mask: Vec<f64> = seen.iter().map(|&s| f64::from(u8::from(s))).collect();
-    for b in 0..seen.len() / CELLS {
-        let mask = block(&mask, width, b);
-        if mask.iter().filter(|&&m| m > 0.0).count() < LEAST_SEEN {
-            continue;
-        }
+    for (b, mask) in seen_blocks(seen, width) {
         let values = block(&basis.parts[SHAPE], width, b);
         let (least, most) = values.iter().fold((1.0f64, 0.0f64), |m, &v| (m.0.min(v), m.1.max(v)));
         let some = if most < 1e-3 {

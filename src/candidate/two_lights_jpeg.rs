@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use super::descent::Trust;
 use super::fit::{Fit, add_priors};
-use super::jpeg_fit::{Channels, LEAST_SEEN, Planes, block, dot, half, planes};
+use super::jpeg_fit::{Channels, Planes, block, dot, half, planes, seen_blocks};
 use super::jpeg_noise::{Noise, class, texture};
 use super::jpeg_steps::{CELLS, Cells, Cosines, TO_YCC, Tables};
 use super::kernels::{Sample, Samples};
@@ -92,12 +92,7 @@ impl Problem<'_> {
     ) {
         /// Ground that is covered shows a little still.
         const WORN: f64 = 0.02;
-        let mask: Vec<f64> = seen.iter().map(|&s| f64::from(u8::from(s))).collect();
-        for b in 0..seen.len() / CELLS {
-            let mask = block(&mask, width, b);
-            if mask.iter().filter(|&&m| m > 0.0).count() < LEAST_SEEN {
-                continue;
-            }
+        for (b, mask) in seen_blocks(seen, width) {
             let masked = |plane: &[f64]| {
                 let mut cells = block(plane, width, b);
                 cells.iter_mut().zip(&mask).for_each(|(c, m)| *c *= m);

@@ -149,22 +149,26 @@ impl Gather {
     }
 }
 
-/// Cells that say how wide residuals scatter. Of larger models every n-th row of blocks is looked at, n at most
-/// [`MOST_BLOCKS_APART`].
+/// Cells that say much of the whole: how wide residuals scatter, roughly where the shift lies. Of larger models every
+/// n-th part is looked at, n at most [`MOST_APART`].
 const ENOUGH_CELLS: u64 = 1_000_000;
-const MOST_BLOCKS_APART: u64 = 16;
+const MOST_APART: u64 = 16;
+
+/// Every how many-th row, or row of blocks, is looked at.
+pub(super) fn apart(grid: &Grid) -> u64 {
+    (grid.width.saturating_mul(grid.height) / ENOUGH_CELLS).clamp(1, MOST_APART)
+}
 
 /// The scatter of the residuals, from as many cells as say it well.
 ///
 /// # Errors
 /// When a model cannot be read.
 pub fn scatter(pair: &Pair<'_>, state: &State, flats: Flats, means: Means) -> Result<Sums> {
-    let grid = pair.template.grid();
-    let blocks_apart = (grid.width.saturating_mul(grid.height) / ENOUGH_CELLS).clamp(1, MOST_BLOCKS_APART);
+    let blocks_apart = apart(&pair.template.grid());
     if blocks_apart > 1 {
         let sums = pass(pair, state, Gather::Scatter { blocks_apart }, flats, means)?;
         // Common ground may lie in a few rows.
-        if sums.sloping >= ENOUGH_CELLS / MOST_BLOCKS_APART {
+        if sums.sloping >= ENOUGH_CELLS / MOST_APART {
             return Ok(sums);
         }
     }

@@ -12,7 +12,7 @@ use crate::histogram::FloatHistogram;
 use crate::source::Patch;
 use crate::stream::{self, Means};
 
-use super::fit::{Moved, MovedBuffers, Pair, State, mark_stable};
+use super::fit::{Moved, MovedBuffers, Pair, State, apart, mark_stable};
 use super::spread;
 use super::surface::Degree;
 
@@ -24,10 +24,7 @@ const MOST_PASSES: u32 = 20;
 const STILL_PX: f64 = 1e-3;
 /// Fewest cells of a class of aspect.
 const FEWEST: u64 = 20;
-/// Cells that say where the shift lies roughly. Of larger models every n-th row is looked at, n at most [`MOST_APART`],
-/// until a step is below [`ROUGH_PX`]; then all of them.
-const ENOUGH_CELLS: u64 = 1_000_000;
-const MOST_APART: u64 = 16;
+/// Of large models every [`apart`]-th row is looked at until a step is below this; then all of them.
 const ROUGH_PX: f64 = 0.02;
 /// Changed ground that lies in a few aspects would take their medians with it: where less than this share of the cells
 /// lies within so many standard deviations of the core, the others take no part.
@@ -43,7 +40,7 @@ pub fn iterate(pair: &Pair<'_>, start: State, means: Means) -> Result<(State, u3
     let grid = pair.template.grid();
     let mut state = start;
     state.surface = state.surface.of_degree(Degree::Level);
-    let mut rows_apart = (grid.width * grid.height / ENOUGH_CELLS).clamp(1, MOST_APART);
+    let mut rows_apart = apart(&grid);
     let first = step(pair, &state, means, (rows_apart, f64::INFINITY))?;
     state.surface.coefficients[0] += first.height_m;
     let mut reach_m = first.reach_m;

@@ -79,9 +79,6 @@ pub struct Surface {
 
 impl Surface {
     pub fn at(&self, u: f64, v: f64) -> f64 {
-        if self.degree == Degree::Level {
-            return self.coefficients[0];
-        }
         let terms = terms::<MOST_TERMS, 0>(u, v);
         self.coefficients[..self.degree.terms()].iter().zip(terms).map(|(c, term)| c * term).sum()
     }
