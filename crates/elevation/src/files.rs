@@ -304,14 +304,21 @@ impl AlignedFiles {
             |heights: &mut Vec<f64>, window| {
                 let (width, height) = (window.width as usize, window.height as usize);
                 a.read(Patch { x: window.x as i64, y: window.y as i64, width, height }, heights)?;
-                let values = heights.iter().enumerate().map(|(i, z)| {
-                    let x = grid.x0 + ((window.x + (i % width) as u64) as f64 + 0.5) * grid.step_x;
-                    let y = grid.y0 + ((window.y + (i / width) as u64) as f64 + 0.5) * grid.step_y;
-                    stored(z + alignment.height_at(x, y, &unit))
-                });
-                Ok(values.collect::<Vec<T>>())
+                let mut values = Vec::with_capacity(width * height);
+                for (row, line) in (window.y..).zip(heights.chunks_exact(width)) {
+                    if alignment.tilt.is_none() {
+                        values.extend(line.iter().map(|z| stored(z + alignment.shift_m[2])));
+                        continue;
+                    }
+                    let y = grid.y0 + (row as f64 + 0.5) * grid.step_y;
+                    values.extend((window.x..).zip(line).map(|(column, z)| {
+                        let x = grid.x0 + (column as f64 + 0.5) * grid.step_x;
+                        stored(z + alignment.height_at(x, y, &unit))
+                    }));
+                }
+                Ok(values)
             },
-            |window, values| output::put(path, &dataset, window, &values),
+            |window, values| output::put(path, &dataset, window, values),
         )?;
         output::finish(path, dataset)
     }

@@ -144,7 +144,7 @@ impl Job<'_> {
                 }
                 Ok(values)
             },
-            |window, values| output::put(out, &dataset, window, &values),
+            |window, values| output::put(out, &dataset, window, values),
         )?;
         output::finish(out, dataset)
     }

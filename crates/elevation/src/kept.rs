@@ -112,7 +112,8 @@ impl Held {
     /// When the source cannot be read.
     pub fn of(source: &dyn Heights, cut: stream::Means) -> Result<Option<Self>> {
         let grid = source.grid();
-        let values = Mutex::new(vec![f32::NAN; (grid.width * grid.height) as usize]);
+        // Tiles cover it; zeros cost nothing before they are written over.
+        let values = Mutex::new(vec![0.0f32; (grid.width * grid.height) as usize]);
         let tiles = cut.tiles(grid.width, grid.height);
         let workers = stream::gather(
             &tiles,

@@ -116,16 +116,20 @@ pub fn create<T: GdalType>(path: &Path, form: &Form<'_>) -> Result<Dataset> {
 ///
 /// # Errors
 /// When GDAL cannot.
-pub fn put<T: GdalType + Copy>(path: &Path, dataset: &Dataset, window: Window, values: &[T]) -> Result<()> {
+pub fn put<T: GdalType + Copy>(path: &Path, dataset: &Dataset, window: Window, values: Vec<T>) -> Result<()> {
     let size = (window.width as usize, window.height as usize);
-    for (index, plane) in values.chunks_exact(size.0 * size.1).enumerate() {
-        let mut buffer = Buffer::new(size, plane.to_vec());
+    let put_band = |index: usize, plane: Vec<T>| {
         dataset
             .rasterband(index + 1)
-            .and_then(|mut band| band.write((window.x as isize, window.y as isize), size, &mut buffer))
-            .map_err(|e| failed_to_write(path, &e.to_string()))?;
+            .and_then(|mut band| {
+                band.write((window.x as isize, window.y as isize), size, &mut Buffer::new(size, plane))
+            })
+            .map_err(|e| failed_to_write(path, &e.to_string()))
+    };
+    if values.len() == size.0 * size.1 {
+        return put_band(0, values);
     }
-    Ok(())
+    values.chunks_exact(size.0 * size.1).enumerate().try_for_each(|(index, plane)| put_band(index, plane.to_vec()))
 }
 
 /// Closes the file; what GDAL met while it wrote the last blocks is an error.

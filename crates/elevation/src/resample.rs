@@ -133,7 +133,7 @@ impl<'a, H: Heights + ?Sized> Resampled<'a, H> {
     /// # Errors
     /// When the source cannot be read.
     pub fn read_with(&self, patch: Patch, scratch: &mut Scratch, out: &mut Vec<f64>) -> Result<()> {
-        out.clear();
+        // Every cell is written below.
         out.resize(patch.width * patch.height, f64::NAN);
         if out.is_empty() {
             return Ok(());
@@ -148,6 +148,7 @@ impl<'a, H: Heights + ?Sized> Resampled<'a, H> {
         let (mut top, mut bottom) = span(&scratch.rows);
         let s = self.source.grid();
         if right < 0 || bottom < 0 || left >= s.width as i64 || top >= s.height as i64 {
+            out.fill(f64::NAN);
             return Ok(());
         }
         if self.voids == Voids::Mended {
@@ -157,15 +158,17 @@ impl<'a, H: Heights + ?Sized> Resampled<'a, H> {
         let part = Patch { x: left, y: top, width: (right - left + 1) as usize, height: (bottom - top + 1) as usize };
         self.source.read(part, &mut scratch.cells)?;
         scratch.holes.clear();
-        if self.voids == Voids::Mended && scratch.cells.iter().any(|z| z.is_nan()) {
+        if self.voids == Voids::Mended && any_nan(&scratch.cells) {
             mend(&mut scratch.cells, part.width, &mut scratch.holes);
         }
         self.interpolate(patch, part, scratch, out);
         if !scratch.holes.is_empty() {
+            scratch.nearest.clear();
+            scratch.nearest.extend(scratch.columns.iter().map(|column| (column.nearest() - left) as usize));
             for (line, row) in out.chunks_exact_mut(patch.width).zip(&scratch.rows) {
-                for (value, column) in line.iter_mut().zip(&scratch.columns) {
-                    let at = (row.nearest() - top) as usize * part.width + (column.nearest() - left) as usize;
-                    if scratch.holes[at] {
+                let holes = &scratch.holes[(row.nearest() - top) as usize * part.width..][..part.width];
+                for (value, &column) in line.iter_mut().zip(&scratch.nearest) {
+                    if holes[column] {
                         *value = f64::NAN;
                     }
                 }
@@ -189,17 +192,11 @@ impl<'a, H: Heights + ?Sized> Resampled<'a, H> {
         // Along the rows first, each row of the source once.
         let (cells, columns) = (&scratch.cells, &scratch.columns);
         let along = &mut scratch.along;
-        along.clear();
         along.resize(part.height * patch.width, 0.0);
         let one_phase = (self.x.ratio == 1.0).then(|| (columns[0].first - left, columns[0].weights));
         for (line, row) in along.chunks_exact_mut(patch.width).zip(cells.chunks_exact(part.width)) {
             if let Some((start, weights)) = one_phase {
-                for (k, &w) in weights.iter().enumerate().filter(|(_, w)| **w != 0.0) {
-                    let from = (start + k as i64) as usize;
-                    for (value, &cell) in line.iter_mut().zip(&row[from..from + patch.width]) {
-                        *value += w * cell;
-                    }
-                }
+                weigh(line, &weights, |k| &row[(start + k as i64) as usize..][..patch.width]);
                 continue;
             }
             for (value, taps) in line.iter_mut().zip(columns) {
@@ -213,17 +210,30 @@ impl<'a, H: Heights + ?Sized> Resampled<'a, H> {
             }
         }
         for (line, taps) in out.chunks_exact_mut(patch.width).zip(&scratch.rows) {
-            line.fill(0.0);
-            for (k, &w) in taps.weights.iter().enumerate() {
-                if w != 0.0 {
-                    let from = (taps.first - top + k as i64) as usize * patch.width;
-                    for (value, &a) in line.iter_mut().zip(&along[from..from + patch.width]) {
-                        *value += w * a;
-                    }
-                }
-            }
+            weigh(line, &taps.weights, |k| {
+                &along[(taps.first - top + k as i64) as usize * patch.width..][..patch.width]
+            });
         }
     }
+}
+
+/// The sums of neighbours along one axis, all with the same weights; neighbours of weight zero are not asked for.
+fn weigh<'c>(line: &mut [f64], weights: &[f64; 4], neighbours: impl Fn(usize) -> &'c [f64]) {
+    if let [true, true, true, true] = weights.map(|w| w != 0.0) {
+        let ([a, b, c, d], [p, q, r, s]) = (std::array::from_fn(neighbours), *weights);
+        let cells = a.iter().zip(b).zip(c.iter().zip(d));
+        line.iter_mut().zip(cells).for_each(|(value, ((a, b), (c, d)))| *value = p * a + q * b + r * c + s * d);
+        return;
+    }
+    line.fill(0.0);
+    for (k, &w) in weights.iter().enumerate().filter(|(_, w)| **w != 0.0) {
+        line.iter_mut().zip(neighbours(k)).for_each(|(value, &cell)| *value += w * cell);
+    }
+}
+
+/// Whether a cell has no height; in blocks, which a processor looks at several cells at a time.
+fn any_nan(cells: &[f64]) -> bool {
+    cells.chunks(64).any(|block| block.iter().fold(false, |found, z| found | z.is_nan()))
 }
 
 /// Gives cells without a height that of the plane through those of their eight neighbours that have one, at least four;
@@ -233,7 +243,7 @@ fn mend(cells: &mut [f64], width: usize, holes: &mut Vec<bool>) {
     holes.clear();
     holes.extend(cells.iter().map(|z| z.is_nan()));
     let height = cells.len() / width;
-    for y in 1..height.saturating_sub(1) {
+    for y in (1..height.saturating_sub(1)).filter(|y| holes[y * width..][..width].contains(&true)) {
         for x in (1..width.saturating_sub(1)).filter(|x| holes[y * width + x]) {
             // Sums of 1, x, y, x², xy, y², z, xz, yz.
             let mut s = [0.0; 9];
@@ -275,6 +285,8 @@ pub struct Scratch {
     along: Vec<f64>,
     /// Cells without a height that were mended, or could not be.
     holes: Vec<bool>,
+    /// The cell of the part that counts most in each column.
+    nearest: Vec<usize>,
 }
 
 impl Taps {

@@ -58,17 +58,19 @@ impl Heights for MemoryHeights {
 /// The part of `values` (row by row on `grid`) that `patch` asks for, NaN outside.
 pub(crate) fn read_rows<T: Copy + Into<f64>>(grid: &Grid, values: &[T], patch: Patch, out: &mut Vec<f64>) {
     let (width, height) = (grid.width as i64, grid.height as i64);
-    out.clear();
-    out.resize(patch.width * patch.height, f64::NAN);
     let first = patch.x.clamp(0, width);
     let last = (patch.x + patch.width as i64).clamp(first, width);
-    for (row, line) in (patch.y..).zip(out.chunks_exact_mut(patch.width)) {
+    let before = ((first - patch.x) as usize).min(patch.width);
+    out.clear();
+    out.reserve(patch.width * patch.height);
+    for row in patch.y..patch.y + patch.height as i64 {
+        let end = out.len() + patch.width;
         if (0..height).contains(&row) && first < last {
-            let from = (row * width + first) as usize;
-            let count = (last - first) as usize;
-            let to = &mut line[(first - patch.x) as usize..][..count];
-            to.iter_mut().zip(&values[from..from + count]).for_each(|(to, v)| *to = (*v).into());
+            out.resize(out.len() + before, f64::NAN);
+            let line = &values[(row * width + first) as usize..(row * width + last) as usize];
+            out.extend(line.iter().map(|v| (*v).into()));
         }
+        out.resize(end, f64::NAN);
     }
 }
 

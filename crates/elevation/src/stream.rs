@@ -40,13 +40,22 @@ impl Means {
         Means { tile_px: cells / rows, tile_rows_px: rows, ..self }
     }
 
-    /// Tiles small enough that every thread has some of a raster that is no tile long; not where starting threads
+    /// Tiles whose cells stay in a core's cache from one step to the next: for copies in memory, where a tile costs no
+    /// more than its border.
+    pub fn cached(self) -> Means {
+        Means { tile_px: self.tile_px.min(256), tile_rows_px: self.tile_rows_px.min(64), ..self }
+    }
+
+    /// Tiles small enough that every thread has some of a raster that is no tile long; one thread where starting more
     /// takes as long as the work.
     pub fn shared_out(self, width: u64, height: u64) -> Means {
         const FEWEST_CELLS: u64 = 1 << 17;
         const TILES_A_THREAD: u64 = 4;
         let (cells, threads) = (width * height, self.threads as u64);
-        if threads < 2 || cells < FEWEST_CELLS || self.tiles(width, height).len() >= TILES_A_THREAD * threads {
+        if cells < FEWEST_CELLS {
+            return Means { threads: 1, ..self };
+        }
+        if self.tiles(width, height).len() >= TILES_A_THREAD * threads {
             return self;
         }
         Means::square((cells / (TILES_A_THREAD * threads)).isqrt().max(BLOCK_PX), self.threads)
@@ -89,4 +98,21 @@ pub fn gather<S: Send>(
         let handles: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
         handles.into_iter().map(|h| h.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
     })
+}
+
+/// So many things, made on several threads; the same whatever their number.
+pub fn each<T: Send>(count: usize, threads: usize, make: impl Fn(usize) -> T + Sync) -> Vec<T> {
+    let threads = threads.clamp(1, count.max(1));
+    let make = &make;
+    let mut made: Vec<(usize, T)> = std::thread::scope(|scope| {
+        let part = |thread: usize| (thread..count).step_by(threads).map(|k| (k, make(k))).collect::<Vec<_>>();
+        let others: Vec<_> = (1..threads).map(|thread| scope.spawn(move || part(thread))).collect();
+        let mut made = part(0);
+        for other in others {
+            made.extend(other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+        }
+        made
+    });
+    made.sort_by_key(|(k, _)| *k);
+    made.into_iter().map(|(_, made)| made).collect()
 }

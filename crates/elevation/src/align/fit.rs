@@ -18,15 +18,14 @@ use crate::stream::{self, BLOCK_PX, Means};
 use crate::window::Window;
 use crate::zones::Zones;
 
+use super::block::{Partial, View};
 use super::residuals::AbsHistogram;
-use super::smooth::{self, REACH_PX, Smooth};
-use super::surface::{Degree, Surface, terms};
+use super::smooth::{REACH_PX, Smooth};
+use super::surface::{Degree, Surface};
 
 /// East and north (in cells of the template, along its axes) come before the terms of the surface.
 pub const SHIFTS: usize = 2;
 
-/// Upper limits of the slope classes, as tangents; the last has none.
-const SLOPE_LIMITS: [f64; SLOPES - 1] = [0.03, 0.07, 0.15, 0.3, 0.5, 0.8, 1.2];
 /// Number of slope classes.
 pub const SLOPES: usize = 8;
 /// The middle of each class: how much a residual there tells about the shift.
@@ -118,7 +117,8 @@ pub(super) const CLIP: f64 = 3.0;
 
 impl Weighing {
     /// Weight and derivative of (weight · residual), both for unit scale.
-    fn at(self, z: f64) -> (f64, f64) {
+    #[inline]
+    pub(super) fn at(self, z: f64) -> (f64, f64) {
         match self {
             Weighing::Biweight => {
                 let u2 = (z / BIWEIGHT).powi(2);
@@ -144,7 +144,7 @@ pub enum Gather {
 }
 
 impl Gather {
-    fn solves(&self) -> bool {
+    pub(super) fn solves(&self) -> bool {
         matches!(self, Gather::Normal { .. } | Gather::Scores { .. })
     }
 }
@@ -210,7 +210,7 @@ pub struct Sums {
 const BLOCKS_APART: usize = 2048;
 
 /// Of the shift's own equations: four of the matrix, two of the right-hand side.
-const ROUGH: usize = 6;
+pub(super) const ROUGH: usize = 6;
 
 /// Units of a score: 2⁻⁵⁰.
 const SCORE_UNIT: f64 = (1u64 << 50) as f64;
@@ -379,24 +379,25 @@ impl<const N: usize> Pass<'_, N> {
             height: core.height as usize + 2 * cells,
         };
         let patch = around(1);
+        // Smoothing takes more cells.
+        let margin = if self.gather.solves() { 1 + REACH_PX } else { 1 };
+        let wide = around(margin);
+        pair.template.read(wide, &mut worker.template)?;
         if self.gather.solves() {
-            let wide = around(1 + REACH_PX);
-            pair.template.read(wide, &mut worker.template)?;
             worker.smooth.take(&worker.template, wide.width);
-            smooth::crop(&mut worker.template, wide.width, REACH_PX);
         } else {
-            pair.template.read(patch, &mut worker.template)?;
             worker.smooth.clear();
         }
         self.other.read_with(patch, &mut worker.scratch, &mut worker.other)?;
         mark_stable(pair, grid, core, &mut worker.stable);
         let (template, smooth, other) = (&worker.template, worker.smooth.values(), &worker.other);
-        let view = View { pair, grid, core, template, smooth, other };
+        let view = View { pair, grid, core, template, margin, smooth, other };
         for y in (0..core.height).step_by(BLOCK_PX as usize) {
             for x in (0..core.width).step_by(BLOCK_PX as usize) {
                 let block = Window::new(x, y, BLOCK_PX.min(core.width - x), BLOCK_PX.min(core.height - y));
                 let sums = &mut worker.sums;
-                let partial: Partial<N> = view.block(block, self.state, self.gather, self.flats, &worker.stable, sums);
+                let partial: Partial<N> =
+                    view.block(block, self.state, (self.gather, self.flats), &worker.stable, sums);
                 let index = match self.gather {
                     Gather::Scores { block_px, .. } => {
                         let across = grid.width.div_ceil(block_px);
@@ -423,32 +424,6 @@ pub fn mark_stable(pair: &Pair<'_>, grid: &Grid, core: Window, out: &mut Vec<u32
     }
 }
 
-/// Plain sums of a block, made in one fixed order.
-struct Partial<const N: usize> {
-    matrix: [[f64; N]; N],
-    right: [f64; N],
-    rough: [f64; ROUGH],
-}
-
-impl<const N: usize> Partial<N> {
-    fn add(&mut self, left: &[f64; N], right: &[f64; N], curvature: f64, weighed: f64) {
-        for (i, &l) in left.iter().enumerate() {
-            self.right[i] += weighed * l;
-            let scaled = curvature * l;
-            for (sum, &r) in self.matrix[i].iter_mut().zip(right) {
-                *sum += scaled * r;
-            }
-        }
-    }
-
-    /// The shift alone, by the template's gradient as it is.
-    fn add_rough(&mut self, [tx, ty]: [f64; 2], [ox, oy]: [f64; 2], curvature: f64, weighed: f64) {
-        let of_matrix = [tx * ox, tx * oy, ty * ox, ty * oy].map(|term| curvature * term);
-        let terms = of_matrix.into_iter().chain([weighed * tx, weighed * ty]);
-        self.rough.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
-    }
-}
-
 impl Sums {
     fn take<const N: usize>(&mut self, partial: &Partial<N>, block: Option<usize>) {
         for (sum, &term) in self.matrix.iter_mut().zip(partial.matrix.as_flattened()) {
@@ -471,100 +446,4 @@ impl Sums {
             }
         }
     }
-}
-
-/// A tile of both models with one cell around it.
-struct View<'a> {
-    pair: &'a Pair<'a>,
-    grid: &'a Grid,
-    core: Window,
-    template: &'a [f64],
-    /// The template smoothed; empty where nothing is solved for.
-    smooth: &'a [f64],
-    other: &'a [f64],
-}
-
-impl View<'_> {
-    fn block<const N: usize>(
-        &self,
-        block: Window,
-        state: &State,
-        gather: Gather,
-        flats: Flats,
-        stable: &[u32],
-        sums: &mut Sums,
-    ) -> Partial<N> {
-        let stride = self.core.width as usize + 2;
-        let (grid, frame) = (self.grid, &self.pair.frame);
-        let mut partial = Partial { matrix: [[0.0; N]; N], right: [0.0; N], rough: [0.0; ROUGH] };
-        let coefficients = &state.surface.coefficients;
-        for row in block.y..block.bottom() {
-            let y = grid.y0 + ((self.core.y + row) as f64 + 0.5) * grid.step_y;
-            let v = (y - frame.y) / frame.half_y;
-            let (mx, my) = self.pair.unit.metres_per_unit(y);
-            let (per_x, per_y) = (1.0 / (mx * grid.step_x), 1.0 / (my * grid.step_y));
-            for column in block.x..block.right() {
-                if stable[(row * self.core.width + column) as usize] == 0 {
-                    continue;
-                }
-                let at = (row as usize + 1) * stride + column as usize + 1;
-                let (t, s, o) = (self.template, self.smooth, self.other);
-                let difference = t[at] - o[at];
-                if difference.is_nan() {
-                    continue;
-                }
-                let (tx, ty) = ((t[at + 1] - t[at - 1]) / 2.0, (t[at + stride] - t[at - stride]) / 2.0);
-                let (ox, oy) = ((o[at + 1] - o[at - 1]) / 2.0, (o[at + stride] - o[at - stride]) / 2.0);
-                let complete = !(tx + ty + ox + oy).is_nan();
-                if flats == Flats::LeftOut && !complete {
-                    continue;
-                }
-                sums.common += 1;
-                let level = complete && (tx * tx + ty * ty <= LEVEL || ox * ox + oy * oy <= LEVEL);
-                if level && flats == Flats::LeftOut {
-                    continue;
-                }
-                sums.sloping += 1;
-                let x = grid.x0 + ((self.core.x + column) as f64 + 0.5) * grid.step_x;
-                let u = (x - frame.x) / frame.half_x;
-                let mut left = terms::<N, SHIFTS>(u, v);
-                let surface: f64 = coefficients.iter().zip(&left[SHIFTS..]).map(|(c, term)| c * term).sum();
-                let residual = difference - surface;
-                let class = if complete { slope_class((tx * per_x).powi(2) + (ty * per_y).powi(2)) } else { 0 };
-                sums.residuals[class].add(residual.abs());
-                let (scales, weighing, derivative) = match gather {
-                    Gather::Residuals | Gather::Scatter { .. } => continue,
-                    Gather::Normal { scales, weighing } => (scales, weighing, false),
-                    Gather::Scores { scales, weighing, .. } => (scales, weighing, true),
-                };
-                let scale = scales[class];
-                let (weight, slope) = weighing.at(residual / scale);
-                if weight == 0.0 && slope == 0.0 {
-                    continue;
-                }
-                sums.used += 1;
-                let (weight, slope) = (weight / (scale * scale), slope / (scale * scale));
-                // Without neighbours there is a height, no gradient.
-                let (tx, ty, ox, oy) = if complete { (tx, ty, ox, oy) } else { (0.0, 0.0, 0.0, 0.0) };
-                let (sx, sy) = ((s[at + 1] - s[at - 1]) / 2.0, (s[at + stride] - s[at - stride]) / 2.0);
-                // Beside a hole nothing is smooth.
-                let (sx, sy) = if complete && !(sx + sy).is_nan() { (sx, sy) } else { (tx, ty) };
-                let mut right = left;
-                (left[0], left[1], right[0], right[1]) = (sx, sy, ox, oy);
-                let curvature = if derivative { slope } else { weight };
-                if derivative {
-                    partial.add_rough([tx, ty], [ox, oy], curvature, weight * residual);
-                }
-                partial.add(&left, &right, curvature, weight * residual);
-            }
-        }
-        partial
-    }
-}
-
-/// Squared height differences between neighbours that count as none.
-const LEVEL: f64 = 1e-18;
-
-fn slope_class(tangent2: f64) -> usize {
-    SLOPE_LIMITS.iter().position(|limit| tangent2 < limit * limit).unwrap_or(SLOPES - 1)
 }

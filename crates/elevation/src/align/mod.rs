@@ -4,6 +4,7 @@
 //! `nuth-kaab` is C. Nuth and A. Kääb, *Co-registration and bias corrections of satellite elevation data sets for
 //! quantifying glacier thickness change*, 2011; `lzd`, `bias` and `tilt` are parts of the joint fit.
 
+mod block;
 mod covariance;
 mod fit;
 mod nuth_kaab;
@@ -236,9 +237,12 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
     let other = Cropped::new(&other, reach(&template.grid()), 1).ok_or_else(none)?;
     let frame = Frame::of(&template.grid());
     let (kept_template, kept_other) = Kept::both(&template, &other, options.room, options.means)?;
-    let on_disk = [&kept_template, &kept_other].into_iter().any(|kept| matches!(kept, Some(Kept::OnDisk(_))));
-    let flat = Options { means: options.means.flat(), ..*options };
-    let options = if on_disk { &flat } else { options };
+    let means = match (&kept_template, &kept_other) {
+        (Some(Kept::InMemory(_)), Some(Kept::InMemory(_))) => options.means.cached(),
+        (Some(Kept::OnDisk(_)), _) | (_, Some(Kept::OnDisk(_))) => options.means.flat(),
+        _ => options.means,
+    };
+    let options = &Options { means, ..*options };
     let template: &dyn Heights = kept_template.as_ref().map_or(&template, |kept| kept);
     let other: &dyn Heights = kept_other.as_ref().map_or(&other, |kept| kept);
     let full = Pair { template, other, finer, unit: options.unit, stable: options.stable, frame };

@@ -12,6 +12,7 @@ use crate::histogram::FloatHistogram;
 use crate::source::Patch;
 use crate::stream::{self, Means};
 
+use super::block::{Gradient, SIDE};
 use super::fit::{Moved, MovedBuffers, Pair, State, apart, mark_stable};
 use super::spread;
 use super::surface::Degree;
@@ -169,22 +170,28 @@ impl Worker {
         other.read_with(inner, &mut self.scratch, &mut self.other)?;
         mark_stable(pair, &grid, core, &mut self.stable);
         let t = &self.template;
+        let mut gradient = Gradient::NONE;
         for row in 0..height {
             let y = grid.y0 + ((core.y + row as u64) as f64 + 0.5) * grid.step_y;
             let (mx, my) = pair.unit.metres_per_unit(y);
-            let (per_x, per_y) = (0.5 / (mx * grid.step_x), 0.5 / (my * grid.step_y));
-            for column in 0..width {
+            let (per_x, per_y) = (1.0 / (mx * grid.step_x), 1.0 / (my * grid.step_y));
+            for column in (0..width).step_by(SIDE) {
+                let count = SIDE.min(width - column);
                 let (at, inside) = ((row + 1) * stride + column + 1, row * width + column);
-                let difference = t[at] - self.other[inside] - state.surface.coefficients[0];
-                if self.stable[inside] == 0 || difference.is_nan() {
-                    continue;
-                }
-                self.differences.add(difference as f32);
-                let (east, north) = ((t[at + 1] - t[at - 1]) * per_x, (t[at + stride] - t[at - stride]) * per_y);
-                let tangent = (east * east + north * north).sqrt();
-                let quotient = difference / tangent;
-                if tangent > LEAST_TANGENT && !quotient.is_nan() && difference.abs() <= reach_m {
-                    self.classes[self.aspects.of(east, north)].add(quotient as f32);
+                gradient.take(t, at, stride, count);
+                let (east, north) = (gradient.x.map(|x| x * per_x), gradient.y.map(|y| y * per_y));
+                let mut differences = [f64::NAN; SIDE];
+                let heights = t[at..][..count].iter().zip(&self.other[inside..][..count]);
+                differences.iter_mut().zip(heights).for_each(|(d, (t, o))| *d = t - o - state.surface.coefficients[0]);
+                let tangents: [f64; SIDE] = std::array::from_fn(|k| (east[k] * east[k] + north[k] * north[k]).sqrt());
+                let quotients: [f64; SIDE] = std::array::from_fn(|k| differences[k] / tangents[k]);
+                let stable = &self.stable[inside..][..count];
+                for k in (0..count).filter(|&k| stable[k] != 0 && !differences[k].is_nan()) {
+                    self.differences.add(differences[k] as f32);
+                    let tells = tangents[k] > LEAST_TANGENT && !quotients[k].is_nan();
+                    if tells && differences[k].abs() <= reach_m {
+                        self.classes[self.aspects.of(east[k], north[k])].add(quotients[k] as f32);
+                    }
                 }
             }
         }

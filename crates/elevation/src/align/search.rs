@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::grid::Grid;
 use crate::resample::{Interpolation, Resampled};
 use crate::source::{Heights as _, MemoryHeights, Patch};
-use crate::stream::Means;
+use crate::stream::{self, Means};
 
 use super::covariance::{covariance, score_block_px};
 use super::fit::{self, Flats, Gather, Pair, SHIFTS, SLOPES, State, Sums, Weighing};
@@ -154,17 +154,13 @@ fn starts(full: &Pair<'_>, levels: &[Level], options: &Options<'_>) -> Result<Ve
     let patch = Patch { x: reach.x.0, y: reach.y.0, width: width + columns, height: height + rows };
     let mut other = Vec::new();
     Resampled::new(large, grid, (0.0, 0.0), Interpolation::Bilinear).read(patch, &mut other)?;
-    let mut scores: Vec<(f64, (i64, i64))> = Vec::new();
-    let mut differences = Vec::with_capacity(samples.len());
-    for dy in 0..=rows {
+    let score = |dy: usize| {
+        let mut scores: Vec<(f64, (i64, i64))> = Vec::new();
+        let mut differences = Vec::with_capacity(samples.len());
         for dx in 0..=columns {
             differences.clear();
-            for &(x, y, height) in &samples {
-                let difference = height - other[(y + dy) * patch.width + x + dx];
-                if !difference.is_nan() {
-                    differences.push(difference);
-                }
-            }
+            let differs = |&(x, y, height): &(usize, usize, f64)| height - other[(y + dy) * patch.width + x + dx];
+            differences.extend(samples.iter().map(differs).filter(|difference| !difference.is_nan()));
             let share = differences.len() as f64 / samples.len() as f64;
             if differences.len() >= 20 && share >= 0.25 {
                 // Little overlap fits by chance more easily.
@@ -172,7 +168,9 @@ fn starts(full: &Pair<'_>, levels: &[Level], options: &Options<'_>) -> Result<Ve
                 scores.push((score, (dx as i64 + reach.x.0, dy as i64 + reach.y.0)));
             }
         }
-    }
+        scores
+    };
+    let mut scores = stream::each(rows + 1, options.means.threads, score).concat();
     // Of equals those come first that lie further up, then further left.
     scores.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut taken: Vec<(i64, i64)> = Vec::new();
@@ -302,6 +300,16 @@ struct End {
     sums: Sums,
 }
 
+/// What became of a candidate at a level.
+enum Followed {
+    /// Where it came to, and its misfit.
+    Settled(State, f64),
+    /// The equations have no solution here.
+    Unsettled(State),
+    /// The models have no cell in common there.
+    Nowhere,
+}
+
 struct Fitter<'a> {
     full: &'a Pair<'a>,
     flats: Flats,
@@ -317,29 +325,26 @@ impl Fitter<'_> {
         for (index, level) in levels.iter().enumerate().rev() {
             let pair = level.pair(self.full);
             let grid = level.template.grid();
-            let fitter = Fitter { means: self.means.shared_out(grid.width, grid.height), ..*self };
+            let means = self.means.shared_out(grid.width, grid.height);
+            let fitter = Fitter { means, ..*self };
+            let ends =
+                stream::each(candidates.len(), self.means.threads, |k| fitter.follow(&pair, candidates[k], free));
             let mut settled: Vec<(State, f64)> = Vec::new();
-            for (mut state, misfit) in candidates {
-                if misfit.is_infinite() {
-                    state.surface.coefficients[0] = super::spread::of(&pair, &state, fitter.means)?.median;
-                    if !state.surface.coefficients[0].is_finite() {
-                        continue;
-                    }
-                }
-                match fitter.settle_centred(&pair, state, free)? {
-                    Some(end) => {
+            for end in ends {
+                match end? {
+                    Followed::Settled(state, misfit) => {
                         let near = |other: &State| {
-                            let x = (other.shift.0 - end.state.shift.0) / grid.step_x;
-                            let y = (other.shift.1 - end.state.shift.1) / grid.step_y;
+                            let x = (other.shift.0 - state.shift.0) / grid.step_x;
+                            let y = (other.shift.1 - state.shift.1) / grid.step_y;
                             x.hypot(y) < 0.2
                         };
                         if !settled.iter().any(|(other, _)| near(other)) {
-                            settled.push((end.state, end.sums.misfit()));
+                            settled.push((state, misfit));
                         }
                     }
                     // Too coarse to tell: the next level may.
-                    None if index > 0 => settled.push((state, f64::INFINITY)),
-                    None => {}
+                    Followed::Unsettled(state) if index > 0 => settled.push((state, f64::INFINITY)),
+                    Followed::Unsettled(_) | Followed::Nowhere => {}
                 }
             }
             candidates = settled;
@@ -351,6 +356,18 @@ impl Fitter<'_> {
         // The second must be clearly better: the first is where the files say the models are.
         let better = candidates.len() > 1 && candidates[1].1 < 0.98 * candidates[0].1;
         Ok(candidates.get(usize::from(better)).map(|(state, _)| *state))
+    }
+
+    /// One candidate at one level.
+    fn follow(&self, pair: &Pair<'_>, (mut state, misfit): (State, f64), free: Free) -> Result<Followed> {
+        if misfit.is_infinite() {
+            state.surface.coefficients[0] = super::spread::of(pair, &state, self.means)?.median;
+            if !state.surface.coefficients[0].is_finite() {
+                return Ok(Followed::Nowhere);
+            }
+        }
+        let end = self.settle_centred(pair, state, free)?;
+        Ok(end.map_or(Followed::Unsettled(state), |end| Followed::Settled(end.state, end.sums.misfit())))
     }
 
     /// Iterates until the shift stands still. `None` where the equations have no solution.

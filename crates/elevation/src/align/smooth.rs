@@ -30,32 +30,23 @@ impl Smooth {
     pub fn take(&mut self, patch: &[f64], width: usize) {
         let narrow = width - 2 * REACH_PX;
         let rows = patch.len() / width;
-        self.along.clear();
         self.along.resize(rows * narrow, 0.0);
         for (out, row) in self.along.chunks_exact_mut(narrow).zip(patch.chunks_exact(width)) {
-            for (k, weight) in WEIGHTS.iter().enumerate() {
-                out.iter_mut().zip(&row[k..]).for_each(|(sum, value)| *sum += weight * value);
-            }
+            weigh(out, |k| &row[k..][..narrow]);
         }
-        self.values.clear();
         self.values.resize((rows - 2 * REACH_PX) * narrow, 0.0);
         for (row, out) in self.values.chunks_exact_mut(narrow).enumerate() {
-            for (k, weight) in WEIGHTS.iter().enumerate() {
-                let line = &self.along[(row + k) * narrow..][..narrow];
-                out.iter_mut().zip(line).for_each(|(sum, value)| *sum += weight * value);
-            }
+            weigh(out, |k| &self.along[(row + k) * narrow..][..narrow]);
         }
     }
 }
 
-/// Takes so many cells off each side of a patch.
-pub fn crop(patch: &mut Vec<f64>, width: usize, cells: usize) {
-    let (rows, narrow) = (patch.len() / width - 2 * cells, width - 2 * cells);
-    for row in 0..rows {
-        let from = (row + cells) * width + cells;
-        patch.copy_within(from..from + narrow, row * narrow);
-    }
-    patch.truncate(rows * narrow);
+/// The weighed sums of neighbours along one axis.
+fn weigh<'c>(out: &mut [f64], neighbours: impl Fn(usize) -> &'c [f64]) {
+    let [a, b, c, d, e] = std::array::from_fn(neighbours);
+    let [p, q, r, s, t] = WEIGHTS;
+    let cells = a.iter().zip(b).zip(c).zip(d.iter().zip(e));
+    out.iter_mut().zip(cells).for_each(|(sum, (((a, b), c), (d, e)))| *sum = p * a + q * b + r * c + s * d + t * e);
 }
 
 #[cfg(test)]
@@ -69,9 +60,9 @@ mod tests {
             let patch: Vec<f64> = (0..width * rows).map(|i| height(i % width, i / width)).collect();
             let mut smooth = Smooth::default();
             smooth.take(&patch, width);
-            let mut inner = patch;
-            crop(&mut inner, width, REACH_PX);
-            (smooth.values().to_vec(), inner)
+            let rows = patch.chunks(width).skip(REACH_PX).take(rows - 2 * REACH_PX);
+            let inner = rows.flat_map(|row| row[REACH_PX..width - REACH_PX].to_vec());
+            (smooth.values().to_vec(), inner.collect::<Vec<f64>>())
         };
         let (smooth, inner) = of(&|x, y| 3.0 * x as f64 - 7.0 * y as f64);
         assert_eq!(smooth.len(), (width - 4) * (rows - 4));

@@ -52,23 +52,25 @@ impl Groups {
         }
     }
 
-    pub(super) fn each(&self, cell: &Cell<'_>, mut see: impl FnMut(usize)) {
-        see(0);
+    /// The groups that a cell belongs to, in `out`.
+    #[inline]
+    pub(super) fn list(&self, cell: &Cell<'_>, out: &mut Vec<usize>) {
+        out.clear();
+        out.push(0);
         let facing = cell.facing;
         if facing.slope > 0 {
-            see(usize::from(facing.slope));
+            out.push(usize::from(facing.slope));
         }
         if facing.aspect > 0 {
-            see(self.slope_classes + usize::from(facing.aspect));
+            out.push(self.slope_classes + usize::from(facing.aspect));
         }
         let band = ((f64::from(cell.height) - self.height_low) / self.height_step) as usize;
-        see((self.first_height + band).min(self.first_zone - 1));
+        out.push((self.first_height + band).min(self.first_zone - 1));
         if self.first_zone < self.names.len() {
-            let outside = self.names.len() - 1;
             if cell.zones.is_empty() {
-                see(outside);
+                out.push(self.names.len() - 1);
             }
-            cell.zones.iter().for_each(|zone| see(self.first_zone + *zone as usize));
+            out.extend(cell.zones.iter().map(|zone| self.first_zone + *zone as usize));
         }
     }
 }

@@ -66,11 +66,12 @@ impl Pairs {
         pairs: [0.0; BINS],
     };
 
-    fn add_difference(&mut self, lag: &Lag, difference: f64, weight: f64) {
-        self.squares[lag.bin] += weight * 0.5 * difference * difference;
-        self.differing[lag.bin] += weight;
-        self.lags[lag.bin] += weight * lag.metres;
-        self.pairs[lag.bin] += 1.0;
+    /// So many pairs, and the sum of their squared differences.
+    fn add_differences(&mut self, lag: &Lag, (count, squares): (f64, f64), weight: f64) {
+        self.squares[lag.bin] += weight * 0.5 * squares;
+        self.differing[lag.bin] += weight * count;
+        self.lags[lag.bin] += weight * count * lag.metres;
+        self.pairs[lag.bin] += count;
     }
 
     fn add_products(&mut self, lag: &Lag, mean: f64, count: f64) {
@@ -135,6 +136,62 @@ struct Part {
     middle: (f64, f64),
 }
 
+const SIDE: usize = WINDOW_PX as usize;
+/// Columns by which two cells of a window are apart, to either side.
+const ACROSS: usize = 2 * SIDE - 1;
+
+/// Pairs within a window by the columns and rows that they are apart: rows of cells at a time, without asking which
+/// class a pair belongs to.
+struct Apart {
+    origin: (i64, i64),
+    /// Row by row; 0 where there is none.
+    values: Vec<f64>,
+    /// 1 where there is a cell, else 0.
+    there: Vec<f64>,
+    /// For each number of rows, from the most columns to the left on.
+    squares: Vec<f64>,
+    counts: Vec<f64>,
+}
+
+impl Apart {
+    fn new(window: Window, cells: &[Cell]) -> Apart {
+        let origin = (window.x as i64, window.y as i64);
+        let (mut values, mut there) = (vec![0.0; SIDE * SIDE], vec![0.0; SIDE * SIDE]);
+        for &(x, y, value) in cells {
+            let at = (y - origin.1) as usize * SIDE + (x - origin.0) as usize;
+            (values[at], there[at]) = (value, 1.0);
+        }
+        Apart { origin, values, there, squares: vec![0.0; SIDE * ACROSS], counts: vec![0.0; SIDE * ACROSS] }
+    }
+
+    /// Pairs a cell with all of the window.
+    fn pair(&mut self, &(x, y, value): &Cell) {
+        let (column, row) = ((x - self.origin.0) as usize, (y - self.origin.1) as usize);
+        let rows = self.values.chunks_exact(SIDE).zip(self.there.chunks_exact(SIDE));
+        for (other, (values, there)) in rows.enumerate() {
+            let from = other.abs_diff(row) * ACROSS + SIDE - 1 - column;
+            let sums = self.squares[from..][..SIDE].iter_mut().zip(&mut self.counts[from..][..SIDE]);
+            for ((square, count), (other, there)) in sums.zip(values.iter().zip(there)) {
+                let difference = other - value;
+                *square += there * difference * difference;
+                *count += there;
+            }
+        }
+    }
+
+    /// Adds the pairs to the classes of `near`; a cell is no pair with itself.
+    fn join(&self, near: &[Lag], weight: f64, into: &mut Pairs) {
+        for rows in 0..SIDE {
+            for across in (0..ACROSS).filter(|&across| rows > 0 || across != SIDE - 1) {
+                let (at, columns) = (rows * ACROSS + across, across.abs_diff(SIDE - 1));
+                if self.counts[at] > 0.0 {
+                    into.add_differences(&near[rows * SIDE + columns], (self.counts[at], self.squares[at]), weight);
+                }
+            }
+        }
+    }
+}
+
 /// How the windows lie in the grid.
 struct Layout {
     count: (u64, u64),
@@ -171,14 +228,9 @@ impl Layout {
         let step = (cells.len() / BASE).max(1);
         let base = cells.len().div_ceil(step);
         let weight = BASE as f64 / base.max(1) as f64;
-        for (i, a) in cells.iter().enumerate().step_by(step) {
-            for (j, b) in cells.iter().enumerate() {
-                if i != j {
-                    let at = (a.1 - b.1).unsigned_abs() * WINDOW_PX + (a.0 - b.0).unsigned_abs();
-                    within.add_difference(&self.near[at as usize], a.2 - b.2, weight);
-                }
-            }
-        }
+        let mut apart = Apart::new(window, &cells);
+        cells.iter().step_by(step).for_each(|cell| apart.pair(cell));
+        apart.join(&self.near, weight, &mut within);
         let count = cells.len() as f64;
         let (sum, squares) = cells.iter().fold((0.0, 0.0), |(s, q), cell| (s + cell.2, q + cell.2 * cell.2));
         let mean = sum / count.max(1.0);

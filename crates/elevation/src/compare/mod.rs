@@ -34,7 +34,7 @@ use crate::zeros::Zeros;
 
 use extent::Extent;
 use groups::Groups;
-use moments::Moments;
+use moments::{Moments, Term};
 use observed::{Observed, Record, Recorder};
 use scan::{Buffers, Cell, OnGrid, Scan};
 use select::{Distribution, Pass, Question};
@@ -145,7 +145,7 @@ struct First {
 
 impl First {
     fn see(&mut self, cell: &Cell<'_>, within_m: f64) {
-        self.moments.add(cell.difference, within_m);
+        self.moments.add(&Term::of(cell.difference, within_m));
         let z = f64::from(cell.height);
         self.heights = Some(self.heights.map_or((z, z), |(low, high)| (low.min(z), high.max(z))));
         // Where A is 0 the difference is B's height, to the last bit.
@@ -310,7 +310,7 @@ impl CompareJob<'_> {
                 recorder.put(window, &records);
                 Ok(values)
             },
-            |window, values| output::put(path, &dataset, window, &values),
+            |window, values| output::put(path, &dataset, window, values),
         )?;
         output::finish(path, dataset)?;
         let mut whole = First::default();
@@ -328,7 +328,7 @@ impl CompareJob<'_> {
         let state = || (state(), Buffers::default());
         let visit = |pass, window, (counts, buffers): &mut (Counts, Buffers), sink: select::Sink<'_>| {
             let Counts { moments, extents } = counts;
-            let (mut of_row, mut cell_m2) = (u64::MAX, 0.0);
+            let (mut of_row, mut cell_m2, mut own) = (u64::MAX, 0.0, Vec::new());
             observed.cells(window, buffers, |cell| {
                 if pass == Pass::First && zones > 0 && !cell.zones.is_empty() {
                     if cell.y != of_row {
@@ -336,12 +336,12 @@ impl CompareJob<'_> {
                     }
                     cell.zones.iter().for_each(|zone| extents[*zone as usize].add(cell.difference, cell_m2));
                 }
-                groups.each(&cell, |group| {
-                    if pass == Pass::First {
-                        moments[group].add(cell.difference, self.within_m);
-                    }
-                    sink(group, cell.difference);
-                });
+                groups.list(&cell, &mut own);
+                if pass == Pass::First {
+                    let term = Term::of(cell.difference, self.within_m);
+                    own.iter().for_each(|&group| moments[group].add(&term));
+                }
+                sink(&own, cell.difference);
             })
         };
         let question = Question { groups: count, shares: &PERCENTS.map(|p| p / 100.0), centre };

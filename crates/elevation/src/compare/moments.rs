@@ -14,15 +14,32 @@ pub(super) struct Moments {
     pub(super) high: Option<f32>,
 }
 
+/// What a difference adds to moments.
+pub(super) struct Term {
+    value: f32,
+    fixed: i64,
+    square: i128,
+    within: bool,
+}
+
+impl Term {
+    #[inline]
+    pub(super) fn of(value: f32, within_m: f64) -> Term {
+        let fixed = (f64::from(value) * UNIT) as i64;
+        let square = i128::from(fixed) * i128::from(fixed);
+        Term { value, fixed, square, within: f64::from(value).abs() <= within_m }
+    }
+}
+
 impl Moments {
-    pub(super) fn add(&mut self, value: f32, within_m: f64) {
-        let fixed = (f64::from(value) * UNIT) as i64 as i128;
+    #[inline]
+    pub(super) fn add(&mut self, term: &Term) {
         self.n += 1;
-        self.sum += fixed;
-        self.squares += fixed * fixed;
-        self.within += u64::from(f64::from(value).abs() <= within_m);
-        self.low = Some(self.low.map_or(value, |v| v.min(value)));
-        self.high = Some(self.high.map_or(value, |v| v.max(value)));
+        self.sum += i128::from(term.fixed);
+        self.squares += term.square;
+        self.within += u64::from(term.within);
+        self.low = Some(self.low.map_or(term.value, |v| v.min(term.value)));
+        self.high = Some(self.high.map_or(term.value, |v| v.max(term.value)));
     }
 
     pub(super) fn merge(&mut self, other: &Moments) {

@@ -37,6 +37,21 @@ impl Record {
         Record { difference: cell.difference, height: cell.height, facing: cell.facing }
     }
 
+    #[inline]
+    fn packed(self) -> Packed {
+        let facing = u32::from(self.facing.slope) << 16 | u32::from(self.facing.aspect);
+        [self.difference.to_bits(), self.height.to_bits(), facing]
+    }
+
+    #[inline]
+    fn unpacked([difference, height, facing]: Packed) -> Record {
+        Record {
+            difference: f32::from_bits(difference),
+            height: f32::from_bits(height),
+            facing: Facing { slope: (facing >> 16) as u16, aspect: facing as u16 },
+        }
+    }
+
     fn put(self, bytes: &mut Vec<u8>) {
         bytes.extend(self.difference.to_le_bytes());
         bytes.extend(self.height.to_le_bytes());
@@ -54,9 +69,12 @@ impl Record {
     }
 }
 
+/// A record as it lies in memory: numbers of which a new vector is made of pages that nobody has touched.
+type Packed = [u32; 3];
+
 /// Where the records are.
 enum Store {
-    Memory(Mutex<Vec<Record>>),
+    Memory(Mutex<Vec<Packed>>),
     /// A file without a name: it goes when the program does.
     Disk {
         file: File,
@@ -79,7 +97,7 @@ impl Recorder {
         let cells = grid.width.saturating_mul(grid.height);
         let bytes = cells.saturating_mul(RECORD_BYTES as u64);
         let store = if bytes / 4 <= room.held_cells {
-            Store::Memory(Mutex::new(vec![Record::NONE; cells as usize]))
+            Store::Memory(Mutex::new(vec![[0; 3]; cells as usize]))
         } else {
             room.file(bytes, MOST_BYTES)
                 .map_or(Store::None, |file| Store::Disk { file, failed: AtomicBool::new(false) })
@@ -100,7 +118,8 @@ impl Recorder {
                 let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
                 for (y, row) in rows {
                     let from = (y * self.width + window.x) as usize;
-                    all[from..from + row.len()].copy_from_slice(row);
+                    let to = &mut all[from..from + row.len()];
+                    to.iter_mut().zip(row).for_each(|(to, record)| *to = record.packed());
                 }
             }
             Store::Disk { file, failed } => {
@@ -129,7 +148,7 @@ impl Recorder {
 }
 
 enum Records {
-    Memory(Vec<Record>),
+    Memory(Vec<Packed>),
     Disk(File),
     Nothing,
 }
@@ -153,29 +172,31 @@ impl Observed<'_> {
                 self.scan.mark_zones(window.x, y, columns, &mut buffers.zones);
             }
             let from = y * grid.width + window.x;
-            let row = match &self.records {
-                Records::Memory(all) => &all[from as usize..from as usize + columns],
-                Records::Disk(file) => {
-                    buffers.bytes.resize(columns * RECORD_BYTES, 0);
-                    file.read_exact_at(&mut buffers.bytes, from * RECORD_BYTES as u64)
-                        .map_err(|e| Error::io(Path::new("the differences kept on disk"), "read", e))?;
-                    buffers.records.clear();
-                    buffers.records.extend(buffers.bytes.as_chunks::<RECORD_BYTES>().0.iter().map(Record::get));
-                    &buffers.records
-                }
-                Records::Nothing => &[],
-            };
-            for (column, record) in row.iter().enumerate() {
+            let mut show = |column: u64, record: Record| {
                 if !record.difference.is_nan() {
                     see(Cell {
-                        x: window.x + column as u64,
+                        x: window.x + column,
                         y,
                         difference: record.difference,
                         height: record.height,
                         facing: record.facing,
-                        zones: buffers.zones.of(column),
+                        zones: buffers.zones.of(column as usize),
                     });
                 }
+            };
+            match &self.records {
+                Records::Memory(all) => {
+                    let row = &all[from as usize..from as usize + columns];
+                    (0..).zip(row).for_each(|(column, packed)| show(column, Record::unpacked(*packed)));
+                }
+                Records::Disk(file) => {
+                    buffers.bytes.resize(columns * RECORD_BYTES, 0);
+                    file.read_exact_at(&mut buffers.bytes, from * RECORD_BYTES as u64)
+                        .map_err(|e| Error::io(Path::new("the differences kept on disk"), "read", e))?;
+                    let row = buffers.bytes.as_chunks::<RECORD_BYTES>().0;
+                    (0..).zip(row).for_each(|(column, bytes)| show(column, Record::get(bytes)));
+                }
+                Records::Nothing => {}
             }
         }
         Ok(())
@@ -187,11 +208,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn records_come_back_from_bytes() {
+    fn records_come_back() {
         let record = Record { difference: -1.25, height: 812.5, facing: Facing { slope: 7, aspect: 9 } };
         let mut bytes = Vec::new();
         record.put(&mut bytes);
-        let back = Record::get(bytes.as_chunks().0.first().expect("twelve bytes"));
-        assert_eq!((back.difference, back.height, back.facing), (record.difference, record.height, record.facing));
+        let from_bytes = Record::get(bytes.as_chunks().0.first().expect("twelve bytes"));
+        for back in [from_bytes, Record::unpacked(record.packed())] {
+            assert_eq!((back.difference, back.height, back.facing), (record.difference, record.height, record.facing));
+        }
     }
 }

@@ -12,8 +12,8 @@ const MOST_VALUES: u64 = 6_000_000;
 /// Bits of that split.
 const SPLIT_BITS: u32 = 8;
 
-/// What takes the values: group and value.
-pub type Sink<'a> = &'a mut dyn FnMut(usize, f32);
+/// What takes the values: a value and the groups that it belongs to.
+pub type Sink<'a> = &'a mut dyn FnMut(&[usize], f32);
 
 /// How often the values were shown before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,7 +62,10 @@ pub fn distributions<S: Send>(
         threads,
         || (vec![Buckets::NONE; groups], state()),
         |(counts, state), window| {
-            visit(Pass::First, window, state, &mut |group, value| counts[group].add(bucket_of(value, centre)))
+            visit(Pass::First, window, state, &mut |groups, value| {
+                let bucket = bucket_of(value, centre);
+                groups.iter().for_each(|&group| counts[group].add(bucket));
+            })
         },
     )?;
     let mut counts = vec![Buckets::NONE; groups];
@@ -80,9 +83,12 @@ pub fn distributions<S: Send>(
         threads,
         || (Tally::default(), state()),
         |(tally, state), window| {
-            visit(Pass::Second, window, state, &mut |group, value| {
-                if plans[group].as_ref().is_some_and(|plan| plan.wanted.holds(bucket_of(value, centre))) {
-                    tally.add((group as u64) << 32 | u64::from(numbers.of(value, centre)));
+            visit(Pass::Second, window, state, &mut |groups, value| {
+                let bucket = bucket_of(value, centre);
+                for &group in groups {
+                    if plans[group].as_ref().is_some_and(|plan| plan.wanted.holds(bucket)) {
+                        tally.add((group as u64) << 32 | u64::from(numbers.of(value, centre)));
+                    }
                 }
             })
         },
@@ -484,7 +490,7 @@ mod tests {
             let question = Question { groups: groups.len(), shares: &shares, centre };
             let visit = |_, window: Window, (): &mut (), sink: Sink<'_>| {
                 for (group, values) in groups.iter().enumerate() {
-                    values.iter().skip(window.x as usize).step_by(4).for_each(|v| sink(group, *v));
+                    values.iter().skip(window.x as usize).step_by(4).for_each(|v| sink(&[group], *v));
                 }
                 Ok(())
             };

@@ -451,12 +451,12 @@ impl Whole<'_> {
             },
             |window, made| {
                 let Some((values, numbers, mask)) = made else { return Ok(()) };
-                output::put(path, &dataset, window, &values)?;
+                output::put(path, &dataset, window, values)?;
                 if masked {
                     output::put_mask(path, &dataset, window, mask)?;
                 }
                 if let Some((path, dataset)) = &index {
-                    output::put(path, dataset, window, &numbers)?;
+                    output::put(path, dataset, window, numbers)?;
                 }
                 Ok(())
             },

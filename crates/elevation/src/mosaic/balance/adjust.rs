@@ -10,6 +10,7 @@ use super::super::graph::Normal;
 use super::blocks::Block;
 use super::relation::{Evidence, Pair, Relation};
 use super::{Balancing, Frame, TERMS, dot};
+use crate::stream::each;
 use autoref_raster::sets::Sets;
 
 /// Variance of the logarithm of gains that is expected before anything is known.
@@ -292,21 +293,4 @@ fn surface_variance(pairs: &[Pair], relations: &[Relation], gains: &[f64]) -> f6
     let candidates = (-120..=10).map(|step| most * 10f64.powf(f64::from(step) / 20.0));
     let best = candidates.map(|v| (likelihood(v), v)).fold((f64::MIN, 0.0), |a, b| if b.0 > a.0 { b } else { a });
     if best.0 - likelihood(0.0) > LEAST_GAIN { best.1 } else { 0.0 }
-}
-
-/// So many things, made on several threads; the same whatever their number.
-fn each<T: Send>(count: usize, threads: usize, make: impl Fn(usize) -> T + Sync) -> Vec<T> {
-    let threads = threads.clamp(1, count.max(1));
-    let make = &make;
-    let mut made: Vec<(usize, T)> = std::thread::scope(|scope| {
-        let part = |thread: usize| (thread..count).step_by(threads).map(|k| (k, make(k))).collect::<Vec<_>>();
-        let others: Vec<_> = (1..threads).map(|thread| scope.spawn(move || part(thread))).collect();
-        let mut made = part(0);
-        for other in others {
-            made.extend(other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
-        }
-        made
-    });
-    made.sort_by_key(|(k, _)| *k);
-    made.into_iter().map(|(_, made)| made).collect()
 }

@@ -157,7 +157,7 @@ impl Job<'_> {
             },
             |window, (values, count)| {
                 seen += count;
-                output::put(plain, &dataset, window, &values)
+                output::put(plain, &dataset, window, values)
             },
         )?;
         output::finish(plain, dataset)?;
