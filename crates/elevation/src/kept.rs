@@ -123,8 +123,8 @@ impl Held {
                 if !*exact {
                     return Ok(());
                 }
-                let (width, height) = (core.width as usize, core.height as usize);
-                source.read(Patch { x: core.x as i64, y: core.y as i64, width, height }, buffer)?;
+                let width = core.width as usize;
+                source.read(core.into(), buffer)?;
                 *exact = buffer.iter().all(|v| Number::Single.holds(*v));
                 let mut values = values.lock().unwrap_or_else(PoisonError::into_inner);
                 for (row, line) in (core.y..).zip(buffer.chunks_exact(width)) {
@@ -219,8 +219,8 @@ impl Spooled {
             if *state != State::Good {
                 return Ok(());
             }
-            let (width, height) = (core.width as usize, core.height as usize);
-            source.read(Patch { x: core.x as i64, y: core.y as i64, width, height }, heights)?;
+            let width = core.width as usize;
+            source.read(core.into(), heights)?;
             if !heights.iter().all(|v| number.holds(*v)) {
                 *state = State::Rounded;
                 return Ok(());

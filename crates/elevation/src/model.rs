@@ -252,6 +252,18 @@ impl Heights for Model {
         }
         Ok(())
     }
+
+    fn holds_nothing(&self, patch: Patch) -> bool {
+        let (width, height) = (self.grid.width as i64, self.grid.height as i64);
+        let [left, right] = [patch.x, patch.x + patch.width as i64].map(|x| x.clamp(0, width));
+        let [top, bottom] = [patch.y, patch.y + patch.height as i64].map(|y| y.clamp(0, height));
+        if left == right || top == bottom {
+            return true;
+        }
+        let there = ((left as u64, top as u64), ((right - left) as usize, (bottom - top) as usize));
+        let void = self.band.nodata.is_some_and(|nodata| self.is_void(f64::from(nodata as f32)));
+        void && self.floats.as_ref().is_some_and(|floats| floats.is_sparse(there.0, there.1))
+    }
 }
 
 /// How a raster gets the CRS that it lacks: an ASCII grid by a file beside it, for GDAL does not write into it.

@@ -3,6 +3,7 @@
 
 use crate::error::Result;
 use crate::grid::Grid;
+use crate::window::Window;
 
 /// A part of a raster; it may reach outside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -11,6 +12,13 @@ pub struct Patch {
     pub y: i64,
     pub width: usize,
     pub height: usize,
+}
+
+impl From<Window> for Patch {
+    fn from(window: Window) -> Patch {
+        let (width, height) = (window.width as usize, window.height as usize);
+        Patch { x: window.x as i64, y: window.y as i64, width, height }
+    }
 }
 
 /// Heights on a grid, read in windows by several threads at once.
@@ -22,6 +30,11 @@ pub trait Heights: Sync {
     /// # Errors
     /// When the file cannot be read.
     fn read(&self, patch: Patch, out: &mut Vec<f64>) -> Result<()>;
+
+    /// Whether it is known without reading that no cell of `patch` has a height.
+    fn holds_nothing(&self, _patch: Patch) -> bool {
+        false
+    }
 }
 
 /// Heights in memory; NaN where there is none.
@@ -124,6 +137,12 @@ impl<H: Heights + ?Sized> Heights for Means<'_, H> {
         }
         Ok(())
     }
+
+    fn holds_nothing(&self, patch: Patch) -> bool {
+        let (factor, cells) = (self.factor as i64, self.factor as usize);
+        let (width, height) = (patch.width * cells, patch.height * cells);
+        self.inner.holds_nothing(Patch { x: patch.x * factor, y: patch.y * factor, width, height })
+    }
 }
 
 /// The mean of a square at the start of `cells`, whose rows are `stride` apart.
@@ -173,6 +192,10 @@ impl<H: Heights + ?Sized> Heights for Cropped<'_, H> {
 
     fn read(&self, patch: Patch, out: &mut Vec<f64>) -> Result<()> {
         self.inner.read(Patch { x: patch.x + self.x as i64, y: patch.y + self.y as i64, ..patch }, out)
+    }
+
+    fn holds_nothing(&self, patch: Patch) -> bool {
+        self.inner.holds_nothing(Patch { x: patch.x + self.x as i64, y: patch.y + self.y as i64, ..patch })
     }
 }
 

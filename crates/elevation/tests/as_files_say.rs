@@ -4,6 +4,8 @@
 mod joining;
 #[path = "as_files_say/references.rs"]
 mod references;
+#[path = "as_files_say/sparse.rs"]
+mod sparse;
 #[path = "as_files_say/zeros.rs"]
 mod zeros;
 

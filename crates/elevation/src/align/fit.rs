@@ -345,6 +345,9 @@ fn pass_of<const N: usize>(pair: &Pair<'_>, state: &State, gather: Gather, flats
     };
     let tiles = means.tiles(grid.width, grid.height);
     let parts = stream::gather(&tiles, means.threads, worker, |worker, core| {
+        if pair.template.holds_nothing(core.into()) {
+            return Ok(());
+        }
         let Gather::Scatter { blocks_apart } = gather else { return pass.look(worker, core) };
         // The same rows for any tiling.
         let rows_apart = BLOCK_PX * blocks_apart;

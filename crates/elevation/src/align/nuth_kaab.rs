@@ -166,8 +166,7 @@ impl Worker {
         // Slopes need the neighbours, differences do not.
         let around = Patch { x: core.x as i64 - 1, y: core.y as i64 - 1, width: stride, height: height + 2 };
         pair.template.read(around, &mut self.template)?;
-        let inner = Patch { x: core.x as i64, y: core.y as i64, width, height };
-        other.read_with(inner, &mut self.scratch, &mut self.other)?;
+        other.read_with(core.into(), &mut self.scratch, &mut self.other)?;
         mark_stable(pair, &grid, core, &mut self.stable);
         let t = &self.template;
         let mut gradient = Gradient::NONE;
@@ -205,6 +204,9 @@ fn step(pair: &Pair<'_>, state: &State, means: Means, (rows_apart, reach_m): (u6
     let other = Moved::of(pair, state.shift);
     let tiles = means.tiles(grid.width, grid.height);
     let parts = stream::gather(&tiles, means.threads, Worker::new, |worker, core| {
+        if pair.template.holds_nothing(core.into()) {
+            return Ok(());
+        }
         if rows_apart == 1 {
             return worker.look(pair, state, &other, (core, reach_m));
         }

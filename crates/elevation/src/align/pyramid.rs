@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::grid::Grid;
-use crate::source::{Heights, Means as Averaged, MemoryHeights, Patch};
+use crate::source::{Heights, Means as Averaged, MemoryHeights};
 use crate::stream::{self, BLOCK_PX, Means};
 
 use super::fit::Pair;
@@ -85,9 +85,11 @@ fn load(source: &dyn Heights, factor: u64, means: Means) -> Result<MemoryHeights
     let side = Means { tile_px: part(means.tile_px), tile_rows_px: part(means.tile_rows_px), ..means };
     let tiles = side.tiles(grid.width, grid.height);
     let parts = stream::gather(&tiles, means.threads, Vec::new, |parts, core| {
-        let (width, height) = (core.width as usize, core.height as usize);
+        if averaged.holds_nothing(core.into()) {
+            return Ok(());
+        }
         let mut values = Vec::new();
-        averaged.read(Patch { x: core.x as i64, y: core.y as i64, width, height }, &mut values)?;
+        averaged.read(core.into(), &mut values)?;
         parts.push((core, values));
         Ok(())
     })?;

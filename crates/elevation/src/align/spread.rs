@@ -61,7 +61,10 @@ pub fn of(pair: &Pair<'_>, state: &State, means: Means) -> Result<Spread> {
     let tiles = means.tiles(grid.width, grid.height);
     let parts = stream::gather(&tiles, means.threads, worker, |worker, core| {
         let (width, height) = (core.width as usize, core.height as usize);
-        let patch = Patch { x: core.x as i64, y: core.y as i64, width, height };
+        let patch = Patch::from(core);
+        if pair.template.holds_nothing(patch) {
+            return Ok(());
+        }
         pair.template.read(patch, &mut worker.template)?;
         other.read_with(patch, &mut worker.scratch, &mut worker.other)?;
         mark_stable(pair, &grid, core, &mut worker.stable);

@@ -114,7 +114,10 @@ impl Scan<'_> {
     pub(super) fn cells(&self, window: Window, buffers: &mut Buffers, mut see: impl FnMut(Cell<'_>)) -> Result<()> {
         let (width, height) = (window.width as usize, window.height as usize);
         let (x, y) = (window.x as i64, window.y as i64);
-        self.a.read(Patch { x, y, width, height }, buffers)?;
+        if self.b.holds_nothing(window.into()) {
+            return Ok(());
+        }
+        self.a.read(window.into(), buffers)?;
         let stride = width + 2;
         self.b.read(Patch { x: x - 1, y: y - 1, width: stride, height: height + 2 }, &mut buffers.b)?;
         buffers.zones.clear(width);

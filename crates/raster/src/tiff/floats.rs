@@ -123,6 +123,15 @@ impl FloatTiff {
         Ok(())
     }
 
+    /// Whether the file holds no block of a window that lies in the raster.
+    pub fn is_sparse(&self, (x, y): (u64, u64), (width, height): (usize, usize)) -> bool {
+        let (bw, bh) = (self.layout.block_width, self.layout.block_height);
+        let (columns, rows) = (x / bw..(x + width as u64).div_ceil(bw), y / bh..(y + height as u64).div_ceil(bh));
+        let across = self.layout.blocks_across();
+        rows.flat_map(|row| columns.clone().map(move |column| row * across + column))
+            .all(|block| self.layout.extent(block).1 == 0)
+    }
+
     fn decode(&self, block: u64) -> Result<Decoded> {
         let layout = &self.layout;
         let (offset, length) = layout.extent(block);
@@ -187,7 +196,7 @@ mod tests {
     #[test]
     fn numbers_are_gdals_to_the_bit() {
         let folder = tempfile::tempdir().expect("a folder");
-        let mut tried = 0;
+        let (mut tried, mut sparse) = (0, 0);
         for compress in ["NONE", "LZW", "DEFLATE", "ZSTD", "PACKBITS"] {
             for predictor in ["1", "2", "3"] {
                 for layout in [["TILED=YES", "BLOCKXSIZE=32", "BLOCKYSIZE=16"], ["TILED=NO", "BLOCKYSIZE=16", ""]] {
@@ -211,13 +220,17 @@ mod tests {
                             band.read_into_slice(at, size, size, &mut b, None).expect("a whole file");
                             let same = a.iter().zip(&b).all(|(a, b)| a.to_bits() == b.to_bits());
                             assert!(same, "{options:?} at {at:?}");
+                            if ours.is_sparse((at.0 as u64, at.1 as u64), size) {
+                                assert!(a.iter().all(|v| *v == -9999.0), "{options:?} at {at:?}");
+                                sparse += 1;
+                            }
                         }
                         tried += 1;
                     }
                 }
             }
         }
-        assert_eq!(tried, 5 * 3 * 2 * 2);
+        assert_eq!((tried, sparse), (5 * 3 * 2 * 2, 5 * 3 * 2));
     }
 
     #[test]
