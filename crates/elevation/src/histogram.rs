@@ -23,12 +23,11 @@ type Page = Box<[u64; 1 << PAGE_BITS]>;
 #[derive(Clone)]
 pub struct FloatHistogram<const BITS: u32> {
     pages: Vec<Option<Page>>,
-    total: u64,
 }
 
 impl<const BITS: u32> Default for FloatHistogram<BITS> {
     fn default() -> Self {
-        FloatHistogram { pages: vec![None; 1 << (BITS - PAGE_BITS)], total: 0 }
+        FloatHistogram { pages: vec![None; 1 << (BITS - PAGE_BITS)] }
     }
 }
 
@@ -38,7 +37,6 @@ impl<const BITS: u32> FloatHistogram<BITS> {
         let bucket = (order_key(value) >> (32 - BITS)) as usize;
         let page = self.pages[bucket >> PAGE_BITS].get_or_insert_with(|| Box::new([0; 1 << PAGE_BITS]));
         page[bucket & ((1 << PAGE_BITS) - 1)] += 1;
-        self.total += 1;
     }
 
     pub fn merge(&mut self, other: &Self) {
@@ -49,19 +47,15 @@ impl<const BITS: u32> FloatHistogram<BITS> {
                 (_, None) => {}
             }
         }
-        self.total += other.total;
-    }
-
-    pub fn total(&self) -> u64 {
-        self.total
     }
 
     /// The buckets that hold values.
     pub fn filled(&self) -> Filled<BITS> {
         let pages = (0u32..).zip(&self.pages).filter_map(|(number, page)| Some((number << PAGE_BITS, page.as_ref()?)));
         let buckets = pages.flat_map(|(first, page)| (first..).zip(page.iter()).filter(|(_, count)| **count > 0));
-        let buckets = buckets.map(|(bucket, &count)| (bucket, count));
-        Filled { buckets: buckets.collect(), total: self.total }
+        let buckets: Vec<(u32, u64)> = buckets.map(|(bucket, &count)| (bucket, count)).collect();
+        let total = buckets.iter().map(|(_, count)| count).sum();
+        Filled { buckets, total }
     }
 }
 
@@ -79,6 +73,11 @@ struct Run<'a, const BITS: u32> {
 }
 
 impl<const BITS: u32> Filled<BITS> {
+    /// How many values there are.
+    pub fn total(&self) -> u64 {
+        self.total
+    }
+
     fn all(&self) -> Run<'_, BITS> {
         Run { buckets: &self.buckets, total: self.total }
     }

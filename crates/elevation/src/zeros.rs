@@ -16,6 +16,7 @@ const FAR_M: f64 = 10.0;
 const NOTABLE_SHARE: f64 = 0.005;
 
 impl Zeros {
+    #[inline]
     pub(crate) fn see(&mut self, a_m: f64, b_m: f64) {
         self.a += u64::from(a_m == 0.0 && b_m.abs() > FAR_M);
         self.b += u64::from(b_m == 0.0 && a_m.abs() > FAR_M);

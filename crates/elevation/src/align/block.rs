@@ -146,6 +146,7 @@ impl View<'_> {
             (x - frame.x) / frame.half_x
         });
         let mut line = Line::NONE;
+        let (mut common, mut sloping, mut used) = (0, 0, 0);
         for row in block.y..block.bottom() {
             let y = grid.y0 + ((self.core.y + row) as f64 + 0.5) * grid.step_y;
             let v = (y - frame.y) / frame.half_y;
@@ -160,12 +161,12 @@ impl View<'_> {
                 if flats == Flats::LeftOut && !complete {
                     continue;
                 }
-                sums.common += 1;
+                common += 1;
                 let level = complete && (tx * tx + ty * ty <= LEVEL || ox * ox + oy * oy <= LEVEL);
                 if level && flats == Flats::LeftOut {
                     continue;
                 }
-                sums.sloping += 1;
+                sloping += 1;
                 let mut left = terms::<N, SHIFTS>(u[k], v);
                 let surface: f64 = coefficients.iter().zip(&left[SHIFTS..]).map(|(c, term)| c * term).sum();
                 let residual = line.difference[k] - surface;
@@ -180,7 +181,7 @@ impl View<'_> {
                 if weight == 0.0 && slope == 0.0 {
                     continue;
                 }
-                sums.used += 1;
+                used += 1;
                 let (weight, slope) = (weight * scales.inverse2[class], slope * scales.inverse2[class]);
                 // Without neighbours there is a height, no gradient.
                 let (rough, other) = if complete { ([tx, ty], [ox, oy]) } else { ([0.0; 2], [0.0; 2]) };
@@ -196,6 +197,9 @@ impl View<'_> {
                 partial.add(&left, &right, curvature, weight * residual);
             }
         }
+        sums.common += common;
+        sums.sloping += sloping;
+        sums.used += used;
         partial
     }
 }

@@ -262,8 +262,7 @@ pub fn align(a: &dyn Heights, b: &dyn Heights, options: &Options<'_>) -> Result<
         }
         Found::Fitted(fitted) => fitted,
     };
-    let before = spread::of(&full, &State::default(), options.means)?;
-    let after = spread::of(&full, &fitted.state, options.means)?;
+    let [before, after] = spread::of_each(&full, [&State::default(), &fitted.state], options.means)?;
     // Ground that coarse cells or a filter smooth out leaves differences that lean to one side: a robust height is
     // drawn from the mean, which averaging keeps, by something that the scatter of blocks does not show.
     let leans = after.mean.powi(2) > LEANING.powi(2) * fitted.covariance[(2, 2)];

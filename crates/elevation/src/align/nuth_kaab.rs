@@ -110,21 +110,19 @@ impl Aspects {
         across / (along + across)
     }
 
-    /// The class of a direction, which must not be (0, 0).
+    /// The class of a direction, which must not be (0, 0). Without a branch: directions come in no order that a processor
+    /// could guess.
+    #[inline]
     fn of(&self, east: f64, north: f64) -> usize {
-        let (quarter, along, across) = match (east < 0.0, north < 0.0) {
-            (true, false) if north == 0.0 => (0, -east, 0.0),
-            (_, true) if east < 0.0 => (0, -east, -north),
-            (_, true) => (1, -north, east),
-            (false, false) if east > 0.0 => (2, east, north),
-            _ => (3, north, -east),
-        };
+        /// By signs: east below and above 0, north below and above 0. West belongs to the first quarter.
+        const QUARTERS: [u8; 16] = [0, 0, 2, 0, 1, 0, 1, 0, 3, 3, 2, 0, 0, 0, 0, 0];
+        let sign = |value: f64| usize::from(value < 0.0) | usize::from(value > 0.0) << 1;
+        let quarter = usize::from(QUARTERS[sign(east) | sign(north) << 2]);
+        let (along, across) = if quarter % 2 == 0 { (east.abs(), north.abs()) } else { (north.abs(), east.abs()) };
         let share = Self::share(along, across);
-        let mut class = usize::from(self.first[(share * Self::STEPS as f64) as usize]);
-        while self.begins[class + 1] <= share {
-            class += 1;
-        }
-        quarter * QUARTER + class
+        let first = usize::from(self.first[(share * Self::STEPS as f64) as usize]);
+        // Classes are wider than steps.
+        quarter * QUARTER + first + usize::from(self.begins[first + 1] <= share)
     }
 }
 
@@ -232,11 +230,12 @@ fn step(pair: &Pair<'_>, state: &State, means: Means, (rows_apart, reach_m): (u6
 /// Least squares of median = east·cos + north·sin + constant over the classes.
 fn cosine(classes: &[FloatHistogram<BITS>]) -> Option<(f64, f64)> {
     let (mut matrix, mut right, mut filled) = (Matrix3::zeros(), Vector3::zeros(), 0);
-    for (index, class) in classes.iter().enumerate().filter(|(_, class)| class.total() >= FEWEST) {
+    let classes = classes.iter().map(FloatHistogram::filled).enumerate();
+    for (index, class) in classes.filter(|(_, class)| class.total() >= FEWEST) {
         let direction = ((index as f64 + 0.5) / ASPECTS as f64 - 0.5) * std::f64::consts::TAU;
         let row = Vector3::new(direction.cos(), direction.sin(), 1.0);
         matrix += row * row.transpose();
-        right += row * class.filled().quantile(0.5)?;
+        right += row * class.quantile(0.5)?;
         filled += 1;
     }
     if filled < ASPECTS / 4 {
