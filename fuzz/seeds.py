@@ -82,6 +82,12 @@ SEEDS = {
         (".xml", b'<LandXML><Units><Imperial linearUnit="USSurveyFoot"/></Units><CoordinateSystem epsgCode="25832"/><CgPoints><CgPoint name="101">7031894.7 569834.2 47.2</CgPoint></CgPoints></LandXML>'),
         (".xml", b"<JOBFile><Reductions><Point><Name>101</Name><Grid><North>7031894.7</North><East>569834.2</East><Elevation>47.2</Elevation></Grid></Point></Reductions></JOBFile>"),
         (".geojson", b'{"type":"FeatureCollection","features":[{"type":"Feature","properties":{"name":"A"},"geometry":{"type":"Point","coordinates":[10.4,63.4,80]}}]}'),
+        (".txt", b'FileHeader "SBG Object Text v2.01","Coordinate Document"\nbegin\n\tFileInfo "Coordinate System","Sweref 99 15 45 / RH2000"\nend\nPointList\nbegin\n\tPoint "101",7031894.724,569834.26,47.211,"GCP",0,""\nend\n'),
+        (".txt", b'HEADER\nVERSION 1.20\nUNITS\nLINEAR METRE\nEND UNITS\nEND HEADER\nDATABASE\nPOINTS(PointNo, PointID, East, North, Elevation, Code, Date, CLASS)\n1, "101", 569834.26, 7031894.724, 47.211, "GCP", 01-06-2024/10:00:00.0, FIX;\nEND POINTS\n'),
+        (".csv", b"WKT;name\nPOINT Z (570406.8 7032516.8 80.3);P1\nPOINT Z (570413 7032503 79);P2\n"),
+        (".csv", b"name,lat,lon,h\nP1,63\xc2\xb025'12.3\"N,10\xc2\xb024'3.1\"E,80\n"),
+        (".txt", b"P1 63.4205 10.4009 80.1\nP2 63.4206 10.4019 80.2\n"),
+        (".txt", b"% program : RTKPOST\n%  GPST          latitude(deg) longitude(deg)  height(m)   Q  ns\n2024/06/01 10:00:00.000   63.420500000   10.400900000    80.1000   1   9\n"),
     ]),
     "documents": (DOCUMENTS, [
         (".toml", b'name = "p"\n[colour]\nlimit = 3.0\n[[colour.clouds]]\nmean = [60.0, 50.0, 60.0]\ncovariance = [[90.0, 0.0, 0.0], [0.0, 60.0, 0.0], [0.0, 0.0, 60.0]]\n[size]\nmin_px = 5.0\nmax_px = 60.0\n[filters]\nclosing_element = [".#.", "###"]\n'),
