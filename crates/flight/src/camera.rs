@@ -82,6 +82,10 @@ impl Parameter {
     pub fn by_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|p| p.name() == name)
     }
+    /// Whether it bends the plane of the projection.
+    fn is_of_lens(self) -> bool {
+        self as usize >= Parameter::K1 as usize
+    }
 }
 
 /// What a camera's size is of.
@@ -146,15 +150,19 @@ impl Camera {
     /// Pixel of a point in the camera's axes (x right, y down, z forward); `None` when the point is not in front.
     pub fn project(&self, point: [f64; 3]) -> Option<[f64; 2]> {
         (point[2] > 0.0 || self.projection.sees_behind())
-            .then(|| self.image(&self.values, self.projection.plane(point)))
+            .then(|| self.projection.plane(point))
+            .map(|place| if self.is_plain() { scaled(|p| self.get(p), place) } else { self.image(&self.values, place) })
             .filter(|p| p[0].is_finite() && p[1].is_finite())
     }
 
     /// Pixel and its derivatives by the point.
     pub fn project_with_jacobian(&self, point: [f64; 3]) -> ([f64; 2], [[f64; 3]; 2]) {
-        let values = self.values.map(Dual::<3>::constant);
-        let x = std::array::from_fn(|i| Dual::variable(point[i], i));
-        let [u, v] = self.image(&values, self.projection.plane(x));
+        let place = self.projection.plane(std::array::from_fn(|i| Dual::<3>::variable(point[i], i)));
+        let [u, v] = if self.is_plain() {
+            scaled(|p| Dual::constant(self.get(p)), place)
+        } else {
+            self.image(&self.values.map(Dual::constant), place)
+        };
         ([u.v, v.v], [u.d, v.d])
     }
 
@@ -164,12 +172,25 @@ impl Camera {
     /// When `N` is less than three and the parameters of `which` together.
     pub fn project_with_parameters<const N: usize>(&self, point: [f64; 3], which: &[Parameter]) -> [Dual<N>; 2] {
         assert!(which.len() + 3 <= N, "room for the derivatives");
+        let place = self.projection.plane(std::array::from_fn(|i| Dual::variable(point[i], i)));
+        if self.is_plain() && which.iter().all(|p| !p.is_of_lens()) {
+            let variable = |i, p| Dual::variable(self.get(p), i + 3);
+            let constant = |p| Dual::constant(self.get(p));
+            return scaled(
+                |p| which.iter().position(|w| *w == p).map_or_else(|| constant(p), |i| variable(i, p)),
+                place,
+            );
+        }
         let mut values = self.values.map(Dual::<N>::constant);
         for (i, p) in which.iter().enumerate() {
             values[*p as usize] = Dual::variable(self.get(*p), i + 3);
         }
-        let x = std::array::from_fn(|i| Dual::variable(point[i], i));
-        self.image(&values, self.projection.plane(x))
+        self.image(&values, place)
+    }
+
+    /// Whether neither a term of the lens nor a map bends the plane: what [`Camera::image`] does is then [`scaled`].
+    fn is_plain(&self) -> bool {
+        self.values[Parameter::K1 as usize..].iter().all(|v| *v == 0.0) && !self.has_plane_maps()
     }
 
     /// Pixel of a place in the plane of the projection, for plain numbers and for those with derivatives.
@@ -330,6 +351,13 @@ impl Projection {
         let per = if r > 0.0 { angle.sin() / r } else { 1.0 };
         (angle <= PI).then(|| [x * per, y * per, angle.cos()])
     }
+}
+
+/// The pixel of a place in the plane that nothing bends.
+#[inline]
+fn scaled<T: Real>(get: impl Fn(Parameter) -> T, [x, y]: [T; 2]) -> [T; 2] {
+    let f = get(Parameter::F);
+    [get(Parameter::Cx) + f * x, get(Parameter::Cy) + f * get(Parameter::Aspect) * y]
 }
 
 /// The lens's terms in the plane of the projection.

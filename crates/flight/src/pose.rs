@@ -26,8 +26,11 @@ pub fn turn(rotation: &Matrix3<f64>, from: &Matrix3<f64>) -> Vector3<f64> {
 }
 
 impl Pose {
+    #[inline]
     pub fn to_camera(&self, point: &Vector3<f64>) -> Vector3<f64> {
-        self.rotation * (point - self.centre)
+        let (r, by) = (&self.rotation, point - self.centre);
+        // Spelled out: called for every point of every step.
+        Vector3::from_fn(|i, _| r[(i, 0)] * by.x + r[(i, 1)] * by.y + r[(i, 2)] * by.z)
     }
 
     /// A camera at `centre` that looks as the angles say; the world is east, north, up.

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix2, Matrix2x3, SMatrix, Vector2};
 
 use super::layout::{Layout, MOST_INTERIOR};
+use super::small::times;
 use super::{Loss, Observation, Problem, Trust};
 
 type Matrix2x6 = SMatrix<f64, 2, 6>;
@@ -73,7 +74,7 @@ pub(super) fn linear(
         Matrix2::identity() - residual * residual.transpose() * ((1.0 - radial) / squared.max(f64::MIN_POSITIVE))
     });
     if let Some(m) = bent {
-        by_p = m * by_p;
+        by_p = times(&m, &by_p);
     }
     let by_x = times(&by_p, &frame.pose.rotation);
     // exp(δ) p ≈ p + δ × p.
@@ -82,26 +83,9 @@ pub(super) fn linear(
     pose.fixed_columns_mut::<3>(0).copy_from(&by_turn);
     pose.fixed_columns_mut::<3>(3).copy_from(&-by_x);
     for v in &mut interior[..active.len()] {
-        *v = bent.map_or(*v, |m| m * *v) * scale;
+        *v = bent.map_or(*v, |m| times(&m, v)) * scale;
     }
     Some(Linear { pose, interior, point: by_x, residual: residual * (weight / radial) })
-}
-
-/// a b of small matrices, spelled out.
-#[inline(always)]
-pub(super) fn times<const R: usize, const K: usize, const C: usize>(
-    a: &SMatrix<f64, R, K>,
-    b: &SMatrix<f64, K, C>,
-) -> SMatrix<f64, R, C> {
-    let mut out = SMatrix::zeros();
-    for c in 0..C {
-        for k in 0..K {
-            for r in 0..R {
-                out[(r, c)] += a[(r, k)] * b[(k, c)];
-            }
-        }
-    }
-    out
 }
 
 fn split<const N: usize>(

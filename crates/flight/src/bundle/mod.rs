@@ -13,6 +13,7 @@ mod normal;
 mod other_lens;
 mod single;
 pub mod skyline;
+mod small;
 mod solve;
 
 pub use deviations::{Deviations, MissingTerms, Moved};

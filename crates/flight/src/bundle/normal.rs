@@ -3,8 +3,9 @@
 use nalgebra::{DVector, Matrix2, Matrix3, SMatrix, Vector3};
 
 use super::layout::Layout;
-use super::linear::{Curvature, Linear, linear, times};
+use super::linear::{Curvature, Linear, linear};
 use super::skyline::Skyline;
+use super::small::{across, times};
 use super::{Loss, Observation, Problem, Treatment, Trust};
 use crate::camera::Parameter;
 use crate::pose::turn;
@@ -15,22 +16,6 @@ type Matrix6x3 = SMatrix<f64, 6, 3>;
 /// damped system can be solved.
 pub(super) const DETERMINED: f64 = 1e-11;
 pub(super) const SOLVABLE: f64 = 1e-15;
-
-/// aᵀ b of matrices with two rows. Spelled out, the compiler keeps it in registers; nalgebra's product is a call for
-/// each column.
-#[inline(always)]
-pub(super) fn across<const R: usize, const C: usize>(
-    a: &SMatrix<f64, 2, R>,
-    b: &SMatrix<f64, 2, C>,
-) -> SMatrix<f64, R, C> {
-    let mut out = SMatrix::zeros();
-    for c in 0..C {
-        for r in 0..R {
-            out[(r, c)] = a[(0, r)] * b[(0, c)] + a[(1, r)] * b[(1, c)];
-        }
-    }
-    out
-}
 
 /// Whether rays meet at less than some two seconds of arc: the point could lie anywhere along them.
 fn is_without_depth(v: &Matrix3<f64>) -> bool {

@@ -5,8 +5,9 @@ use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
 
 use super::descent::{Descent, Solved, Way, descend};
 use super::layout::Layout;
-use super::linear::{Curvature, linear, times};
-use super::normal::{SOLVABLE, across};
+use super::linear::{Curvature, linear};
+use super::normal::SOLVABLE;
+use super::small::{Lower, across, times};
 use super::solve::tidy;
 use super::{Options, Problem, Summary, Treatment};
 use crate::camera::Parameter;
@@ -36,8 +37,19 @@ struct Eliminated {
     diagonal: Vector3<f64>,
 }
 
+/// Adds the lower triangle of a bᵀ, which is symmetric.
+#[inline(always)]
+fn add_lower<const K: usize>(to: &mut Square, a: &SMatrix<f64, SIZE, K>, b: &SMatrix<f64, SIZE, K>) {
+    for c in 0..SIZE {
+        for r in c..SIZE {
+            to[(r, c)] += (0..K).fold(0.0, |sum, k| sum + a[(r, k)] * b[(c, k)]);
+        }
+    }
+}
+
 /// The damped system at the present values.
 struct System {
+    /// Its lower triangle.
     matrix: Square,
     /// After elimination, and before.
     right: Column,
@@ -103,7 +115,7 @@ impl Single<'_> {
                 j.set_column(6, &l.interior[0]);
                 v = across(&l.point, &l.point);
                 right = -across(&l.point, &l.residual);
-                whole += across(&j, &j);
+                add_lower(&mut whole, &j.transpose(), &j.transpose());
                 gradient -= across(&j, &l.residual);
                 by_frame = across(&j, &l.point);
             }
@@ -116,9 +128,9 @@ impl Single<'_> {
             (0..3).filter(|a| known[*a] > 0.0).for_each(|a| slope = slope.max(right[a].abs() / known[a].sqrt()));
             let diagonal = known.map(|d| d.max(1e-12));
             let damped = v + Matrix3::from_diagonal(&(diagonal * damping));
-            let inverse = damped.cholesky().map_or_else(Matrix3::zeros, |c| c.inverse());
+            let inverse = Lower::of(&damped).map_or_else(Matrix3::zeros, |l| l.inverse());
             let t = times(&by_frame, &inverse);
-            taken += times(&t, &by_frame.transpose());
+            add_lower(&mut taken, &t, &by_frame);
             through += times(&t, &right);
             points.push(Eliminated { inverse, right, by_frame, diagonal });
         }
@@ -159,7 +171,7 @@ impl Descent for Single<'_> {
         let Way::Straight(reach) = way else { return None };
         let part = |at: usize| Vector3::new(frame[at], frame[at + 1], frame[at + 2]) * reach;
         let pose = &mut self.problem.frames[0].pose;
-        pose.rotation = tidy(Rotation3::new(part(0)).matrix() * self.from.rotation);
+        pose.rotation = tidy(times(Rotation3::new(part(0)).matrix(), &self.from.rotation));
         pose.centre = self.from.centre + part(3);
         if let Some(p) = self.active {
             self.problem.cameras[0].camera.set(p, self.from.interior + frame[6] * reach);
@@ -191,15 +203,14 @@ impl Descent for Single<'_> {
 impl System {
     /// `None` where the matrix is not positive definite.
     fn step(&self) -> Option<Step> {
-        let factor = self.matrix.cholesky()?;
-        let l = factor.l_dirty();
-        if (0..SIZE).any(|i| l[(i, i)] * l[(i, i)] <= SOLVABLE * self.matrix[(i, i)].abs()) {
+        let factor = Lower::of(&self.matrix)?;
+        if (0..SIZE).any(|i| factor.diagonal(i).powi(2) <= SOLVABLE * self.matrix[(i, i)].abs()) {
             return None;
         }
         let frame = factor.solve(&self.right);
         let mut gain = frame.dot(&self.gradient) + self.damping * frame.component_mul(&self.diagonal).dot(&frame);
         let of_point = |e: &Eliminated| {
-            let step = e.inverse * (e.right - times(&e.by_frame.transpose(), &frame));
+            let step = times(&e.inverse, &(e.right - times(&e.by_frame.transpose(), &frame)));
             gain += step.dot(&e.right) + self.damping * step.component_mul(&e.diagonal).dot(&step);
             step
         };

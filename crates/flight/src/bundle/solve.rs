@@ -7,6 +7,7 @@ use super::layout::{Layout, MOST_INTERIOR};
 use super::linear::Curvature;
 use super::normal::{Factored, Reduced, SOLVABLE, Step};
 use super::single::{is_single, solve_single};
+use super::small::times;
 use super::{BundleCamera, BundleFrame, BundlePoint, Loss, Problem};
 use crate::error::{Error, Result};
 
@@ -234,7 +235,7 @@ impl Common {
 
 /// One step of Newton towards the nearest rotation: rounding must not add up over iterations.
 pub(super) fn tidy(r: Matrix3<f64>) -> Matrix3<f64> {
-    r * (Matrix3::identity() * 3.0 - r.transpose() * r) * 0.5
+    times(&r, &(Matrix3::identity() * 3.0 - times(&r.transpose(), &r))) * 0.5
 }
 
 fn check(problem: &Problem) -> Result<()> {
