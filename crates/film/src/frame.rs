@@ -7,6 +7,7 @@ use super::check::agreement;
 use super::constellation::{Assembly, assemble, assemble_stretched, chance};
 use super::interior::{Observation, Pose, distance, refit, residual_um, solve};
 use super::negative::Negative;
+use super::plausible::doubt_of_shape;
 use super::remeasure::{GOOD_SCORE, Measured};
 use super::resolution::Resolution;
 use super::search::{Peak, search};
@@ -207,8 +208,13 @@ impl Finder {
         mut result: FrameResult,
     ) -> Result<FrameResult> {
         if let Some(assembly) = self.assembly(source, options, stated)? {
-            self.remeasure(source, options, &assembly, &mut result)?;
+            let way = self.remeasure(source, options, &assembly, &mut result)?;
             self.doubt_whole(options, stated, &assembly, &mut result);
+            // That it lies otherwise than the camera's file says may be what is wrong with a frame.
+            match &mut result.status {
+                FrameStatus::Ok => result.notes.extend(way),
+                FrameStatus::Doubtful { reasons } | FrameStatus::Failed { reasons } => reasons.extend(way),
+            }
         } else {
             result.marks = self.camera.marks.iter().map(|m| missing(&m.name, None, "not found")).collect();
         }
@@ -452,6 +458,7 @@ impl Finder {
             }
         }
         reasons.extend(self.doubt_references(pose, used));
+        reasons.extend(doubt_of_shape(measured, used));
         let most_um = self.most_rmse_um(options, pose);
         if interior.rmse_um > most_um {
             reasons.push(format!(

@@ -12,6 +12,9 @@ use autoref_raster::coords::Handedness;
 const SAME_UM: f64 = 23.0;
 const SAME_PX: f64 = 0.4;
 
+/// Clockwise turn of the frame, and whether it is mirrored.
+type Way = (f64, Handedness);
+
 /// What the naming of a frame's marks leaves to say.
 #[derive(Default)]
 pub(super) struct Named {
@@ -23,12 +26,23 @@ pub(super) struct Named {
 
 impl Named {
     /// Of several ways in which the frame may lie one was taken; `known` when somebody stands for that.
-    fn say(&mut self, ways: &[String], taken: &str, known: bool) {
-        let said = format!("the marks do not tell whether the frame is {}; taken as {taken}", ways.join(" or "));
+    fn say(&mut self, ways: &[Way], taken: Way, known: bool) {
+        let texts: Vec<String> = ways.iter().map(|way| lies(*way)).collect();
+        // What was given on the command line does not differ between the ways.
+        let turns = ways.iter().any(|way| way.0 != taken.0);
+        let mirrors = ways.iter().any(|way| way.1 != taken.1);
+        let options = match (turns, mirrors) {
+            (true, false) => "--turn",
+            (false, true) => "--mirrored",
+            _ => "--turn and --mirrored",
+        };
+        let said =
+            format!("the marks do not tell whether the frame is {}; taken as {}", texts.join(" or "), lies(taken));
+        let remedy = format!("say {options}");
         if known {
-            self.note = Some(format!("{said}, as the camera's file says"));
+            self.note = Some(format!("{said}, as the camera's file says; if it lies otherwise, {remedy}"));
         } else {
-            self.doubt = Some(format!("{said}: say --turn and --mirrored"));
+            self.doubt = Some(format!("{said}: {remedy}"));
         }
     }
 }
@@ -47,7 +61,7 @@ impl Finder {
         options: &FindOptions,
         pose: &mut Pose,
         measured: &mut Vec<Option<Measured>>,
-        rivals: &[(f64, Handedness)],
+        rivals: &[Way],
     ) -> Named {
         let mut named = Named::default();
         // Shapes that are not their own mirror images tell by themselves, unless another way round looks as good.
@@ -65,8 +79,7 @@ impl Finder {
         let Some(best) = all.first() else {
             // Of two places any way is as good.
             if by_shape {
-                let ways: Vec<String> = rivals.iter().map(|(t, m)| lies(*t, *m)).collect();
-                named.say(&ways, &ways[0], self.camera.upright && rivals[0] == (0.0, Handedness::AsIs));
+                named.say(rivals, rivals[0], self.camera.upright && rivals[0] == (0.0, Handedness::AsIs));
             }
             return named;
         };
@@ -81,8 +94,8 @@ impl Finder {
             .unwrap_or(best)
             .clone();
         if as_good.len() > 1 {
-            let ways: Vec<String> = as_good.iter().map(|n| orientation_text(n)).collect();
-            named.say(&ways, &orientation_text(&taken), self.camera.upright && taken.is_upright());
+            let ways: Vec<Way> = as_good.iter().map(|n| (n.turn_deg, n.mirrored)).collect();
+            named.say(&ways, (taken.turn_deg, taken.mirrored), self.camera.upright && taken.is_upright());
         }
         let before = std::mem::replace(measured, vec![None; self.film.len()]);
         let from: Vec<usize> = places.iter().map(|p| p.0).collect();
@@ -110,11 +123,28 @@ impl Finder {
     }
 }
 
-fn orientation_text(naming: &Naming) -> String {
-    lies(naming.turn_deg, naming.mirrored)
-}
-
-fn lies(turn_deg: f64, mirrored: Handedness) -> String {
+fn lies((turn_deg, mirrored): Way) -> String {
     let mirrored = if mirrored.is_mirrored() { ", mirrored" } else { "" };
     format!("turned by {turn_deg:.0}°{mirrored}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_remedy_is_what_is_still_open() {
+        let upright = (0.0, Handedness::AsIs);
+        for (other, remedy) in [
+            ((90.0, Handedness::AsIs), "say --turn"),
+            ((0.0, Handedness::Mirrored), "say --mirrored"),
+            ((180.0, Handedness::Mirrored), "say --turn and --mirrored"),
+        ] {
+            let mut named = Named::default();
+            named.say(&[upright, other], upright, false);
+            assert!(named.doubt.as_ref().is_some_and(|said| said.ends_with(remedy)), "{:?}", named.doubt);
+            named.say(&[upright, other], upright, true);
+            assert!(named.note.as_ref().is_some_and(|said| said.ends_with(remedy)), "{:?}", named.note);
+        }
+    }
 }

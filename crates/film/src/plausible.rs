@@ -4,6 +4,7 @@
 use super::constellation::Assembly;
 use super::frame::{FindOptions, Finder};
 use super::interior::Pose;
+use super::remeasure::{Measured, median};
 use super::resolution::Resolution;
 use super::types::{FrameResult, FrameStatus, InteriorModel, InteriorOrientation, MarkStatus};
 
@@ -25,6 +26,12 @@ const CUT_MM: f64 = 2.0;
 const GLASS_MM: f64 = 9.0;
 /// Differences of scale between the axes that are told: film alone shrinks unevenly by a tenth of a per cent.
 const TOLD_STRETCH: f64 = 0.003;
+
+/// Of marks of lines that are another camera's: the share of their pixels and of those around them that do not fit, and
+/// what they correlate at most. Right ones of drawn frames stay below 0.5 in the median, in front of bright ground too,
+/// or correlate better where only the file's lengths are off by a third.
+const MOST_MISFIT: f64 = 0.5;
+const HARDLY: f64 = 0.87;
 
 /// What speaks against a frame as a whole, and what is worth knowing of it.
 #[derive(Default)]
@@ -102,6 +109,24 @@ impl Finder {
     }
 }
 
+/// Why what is seen at the marks of lines is not what the camera's marks look like: marks of another camera can lie
+/// alike, and a part of each (the crossing of a cross) resembles a smaller mark. Dust and scratches spoil some marks of
+/// a frame; where half of them neither fit nor correlate, it is their form.
+pub(super) fn doubt_of_shape(measured: &[Option<Measured>], used: &[usize]) -> Option<String> {
+    let of_lines = used.iter().filter_map(|k| measured[*k].as_ref()).filter_map(|m| Some((m.misfit?, m.score)));
+    let (misfits, scores): (Vec<f64>, Vec<f64>) = of_lines.unzip();
+    if misfits.is_empty() {
+        return None;
+    }
+    let (misfit, score) = (median(misfits), median(scores));
+    (misfit > MOST_MISFIT && score < HARDLY).then(|| {
+        format!(
+            "what is seen at the marks does not look like them (correlation {score:.2}): another camera's frame, or \
+             the lengths of the marks in the camera's file are wrong; correct them, or teach the marks with --learn"
+        )
+    })
+}
+
 /// How far one size of a pixel is from another, logarithmically.
 fn off(pixel_um: f64, other: f64) -> f64 {
     (pixel_um / other).ln()
@@ -161,3 +186,57 @@ fn note_of_axes(interior: &InteriorOrientation) -> Option<String> {
 
 /// Pixels of root mean square that measuring may leave beside what film does.
 const RMSE_PX: f64 = 0.3;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drawn::{FilmGround, FilmScene, FilmSpec, write_film};
+    use crate::types::{Camera, MarkKind};
+    use crate::{find_frame, load_camera};
+    use autoref_raster::coords::{Handedness, PixelPoint};
+
+    fn measured(misfit: f64, score: f64) -> Option<Measured> {
+        let centre = PixelPoint { x: 0.0, y: 0.0 };
+        Some(Measured { centre, covariance_px2: None, score, misfit: Some(misfit), body: None, reason: None })
+    }
+
+    /// A speck in front of one mark, or lengths that are a fifth off, are no other camera's marks.
+    #[test]
+    fn the_form_of_most_marks_counts_where_it_neither_fits_nor_correlates() {
+        let of = |all: &[(f64, f64)]| {
+            let all: Vec<_> = all.iter().map(|(misfit, score)| measured(*misfit, *score)).collect();
+            doubt_of_shape(&all, &(0..all.len()).collect::<Vec<_>>()).is_some()
+        };
+        assert!(of(&[(0.7, 0.80), (0.6, 0.79), (0.8, 0.78), (1.0, 0.80)]));
+        assert!(!of(&[(0.7, 0.80), (0.0, 0.97), (0.0, 0.96), (0.1, 0.95)]), "one is under a speck");
+        assert!(!of(&[(0.6, 0.94), (0.66, 0.95), (0.6, 0.94), (0.7, 0.95)]), "larger than drawn");
+        assert!(!of(&[(0.03, 0.60), (0.02, 0.61), (0.03, 0.60), (0.03, 0.62)]), "a soft scan");
+        assert!(doubt_of_shape(&[None], &[0]).is_none());
+    }
+
+    /// The crossings of thin crosses look like dots, and lie where the dots of another camera would.
+    #[test]
+    fn crossings_are_no_dots() {
+        let dots = load_camera("rmk-dot").expect("built in");
+        let with = |kind: MarkKind| {
+            let mut camera: Camera = dots.clone();
+            camera.marks.iter_mut().for_each(|m| m.kind = kind.clone());
+            camera
+        };
+        let crosses = with(MarkKind::Cross { arm_mm: 1.3, line_mm: 0.09, gap_mm: 0.0, lines_deg: 0.0 });
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("f.tif");
+        let spec = FilmSpec::plain(&crosses, 60.0, 3);
+        write_film(&FilmScene::new(&spec, &FilmGround::Noise).expect("a scene"), &path, 512).expect("written");
+        let options = FindOptions {
+            pixel_um: Some(60.0),
+            turn_deg: Some(0.0),
+            mirrored: Some(Handedness::AsIs),
+            ..FindOptions::default()
+        };
+        let look = |camera: &Camera| find_frame(&Finder::new(camera).expect("a finder"), &path, &options).status;
+        assert_eq!(look(&crosses), FrameStatus::Ok);
+        let FrameStatus::Doubtful { reasons } = look(&dots) else { panic!("{:?}", look(&dots)) };
+        assert!(reasons.iter().any(|r| r.contains("does not look like them")), "{reasons:?}");
+    }
+}

@@ -42,6 +42,8 @@ pub(super) struct Measured {
     pub centre: PixelPoint,
     pub covariance_px2: Option<[f64; 3]>,
     pub score: f64,
+    /// Of marks of lines, the share of its pixels and of those around it that do not fit.
+    pub misfit: Option<f64>,
     /// Where the whole shape puts the reference point, for marks with a point of their own.
     pub body: Option<PixelPoint>,
     /// Why it is not to be trusted by itself.
@@ -64,14 +66,15 @@ impl Lines<'_> {
 }
 
 impl Finder {
-    /// Measures every mark under the assembly's pose, names them, checks them and solves.
+    /// Measures every mark under the assembly's pose, names them, checks them and solves. Returns what is worth knowing
+    /// of the names.
     pub(super) fn remeasure(
         &self,
         source: &dyn RasterSource,
         options: &FindOptions,
         assembly: &Assembly,
         result: &mut FrameResult,
-    ) -> Result<()> {
+    ) -> Result<Option<String>> {
         let mut pose = assembly.pose;
         let sketches = &mut Sketches::default();
         let all = 0..self.film.len();
@@ -105,9 +108,8 @@ impl Finder {
             self.settle_points(source, &pose, &mut measured)?;
             naming = self.name_marks(options, &mut pose, &mut measured, &assembly.rivals);
         }
-        result.notes.extend(naming.note);
         self.judge(options, &pose, &measured, naming.doubt, result);
-        Ok(())
+        Ok(naming.note)
     }
 
     /// Holds the points of a frame's marks against their shapes. Drawn proportions may be off, but by the same for all
@@ -279,6 +281,7 @@ impl Finder {
             centre: r.centre,
             covariance_px2: Some(r.covariance_px2),
             score: peak.score,
+            misfit: None,
             body: None,
             reason: Some("only its hole is seen, not its shape".to_owned()),
         }))
@@ -297,9 +300,14 @@ impl Finder {
         let point_mm = model.point_radius_mm();
         let radius_mm = point_mm.unwrap_or(refined_mm(model));
         let half_px = 1.6 * radius_mm * unit + 12.0;
-        let mut measured =
-            Measured { centre: body.centre, covariance_px2: None, score: body.score, body: None, reason: None };
-        measured.body = point_mm.map(|_| body.centre);
+        let mut measured = Measured {
+            centre: body.centre,
+            covariance_px2: None,
+            score: body.score,
+            misfit: None,
+            body: point_mm.map(|_| body.centre),
+            reason: None,
+        };
         let Some(window) = around(body.centre, half_px, half_px, &source.info().bounds()) else { return Ok(measured) };
         let grey = read_grey(source, window, 1)?;
         let mut start = body.centre;
@@ -326,6 +334,7 @@ impl Finder {
                 Some(r) if r.contrast > 0.0 => {
                     measured.centre = r.centre;
                     measured.covariance_px2 = Some(r.covariance_px2);
+                    measured.misfit = of_lines.as_ref().map(|_| r.misfit);
                     let sigma = r.covariance_px2[0].max(r.covariance_px2[2]).sqrt();
                     if sigma > radius_mm * unit {
                         reasons.push("what is seen does not tell where its centre is".to_owned());

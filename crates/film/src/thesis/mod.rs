@@ -245,6 +245,7 @@ fn correct(grey: &Grey, px_per_mm: f64, predicted: Predicted, detected: Option<P
         centre: found.unwrap_or(predicted.at),
         covariance_px2: None,
         score: detected.map_or(0.0, |d| d.score),
+        misfit: None,
         body: Some(predicted.at),
         reason,
     }
