@@ -73,88 +73,127 @@ pub struct PairEvidence {
     pub gcps_in_image: usize,
 }
 
+/// Where a pair of points on a pair of GCPs predicts the others: the same for every tolerance.
+pub(super) struct Predictions {
+    /// In the image, in the order of the list.
+    of: Vec<Prediction>,
+}
+
+struct Prediction {
+    gcp: usize,
+    place: PixelPoint,
+    /// How far off it may be, against one mark's error.
+    spread: f64,
+    /// Points per px² about it, once somebody asks.
+    density: OnceCell<f64>,
+}
+
+impl Predictions {
+    /// `None` where the pair of GCPs is one place.
+    pub(super) fn of(
+        field: &Field,
+        gcps: &[MapPoint],
+        (a, b): (usize, usize),
+        pixels: [PixelPoint; 2],
+    ) -> Option<Self> {
+        let similarity = Similarity::through(pixels, [gcps[a], gcps[b]])?;
+        let others = gcps.iter().enumerate().filter(|&(k, _)| k != a && k != b);
+        let placed = others.map(|(gcp, at)| (gcp, *at, similarity.invert(*at)));
+        let of = placed.filter(|(_, _, place)| field.contains(*place)).map(|(gcp, at, place)| {
+            let spread = spread_from_pair(gcps[a], gcps[b], at);
+            Prediction { gcp, place, spread, density: OnceCell::new() }
+        });
+        Some(Predictions { of: of.collect() })
+    }
+}
+
+/// Where something was predicted already, and how closely.
+struct Told {
+    places: Vec<(PixelPoint, f64)>,
+    usual_place_px: f64,
+}
+
+impl Told {
+    /// How far the nearest of them is from a place; `None` where one's circle touches that of the place, or one mark
+    /// covers both: circles that touch are one prediction, and so are places that one mark covers. A point that was
+    /// surveyed twice is no second witness, nor is a mark that was found in two pieces.
+    fn nearest_px(&self, place: PixelPoint, radius: f64) -> Option<f64> {
+        let surely_one = self.usual_place_px * self.usual_place_px * (1.0 - 1e-9);
+        let mut nearest = f64::INFINITY;
+        // Lists follow the ground: the last ones lie nearest. Squares: every prediction is held against every other.
+        for (p, r) in self.places.iter().rev() {
+            let (x, y) = (p.x - place.x, p.y - place.y);
+            let square = x * x + y * y;
+            if square < (r + radius) * (r + radius) || square < surely_one {
+                return None;
+            }
+            nearest = nearest.min(square);
+        }
+        let nearest = nearest.sqrt();
+        (nearest >= self.usual_place_px).then_some(nearest)
+    }
+}
+
 /// Tests the exact hypothesis that takes `pixels` to the GCPs `a` and `b`, at one tolerance level.
 pub fn pair_evidence(
     field: &Field,
     gcps: &[MapPoint],
-    (a, b): (usize, usize),
+    pair: (usize, usize),
     pixels: [PixelPoint; 2],
     level_px: f64,
     log10_tests: f64,
 ) -> Option<PairEvidence> {
-    evidence_of(field, gcps, (a, b), &Line::through(field, pixels), level_px, log10_tests, &|_, _| true)
+    let predictions = Predictions::of(field, gcps, pair, pixels)?;
+    Some(evidence_of(field, &predictions, &Line::through(field, pixels), level_px, log10_tests, &|_, _| true))
 }
 
 /// The same where some candidates cannot be some GCPs: hits that `may` forbids are none, and every chance is counted as
 /// if nothing were forbidden, so that the evidence is never stronger than without.
 pub(super) fn evidence_of(
     field: &Field,
-    gcps: &[MapPoint],
-    (a, b): (usize, usize),
+    predictions: &Predictions,
     line: &Line,
     level_px: f64,
     log10_tests: f64,
     may: &dyn Fn(usize, usize) -> bool,
-) -> Option<PairEvidence> {
-    let pixels = line.pixels;
-    let similarity = Similarity::through(pixels, [gcps[a], gcps[b]])?;
-    let mut probabilities = Vec::with_capacity(gcps.len());
+) -> PairEvidence {
+    let mut probabilities = Vec::with_capacity(predictions.of.len());
     let mut hit: Vec<usize> = Vec::new();
     // Of each prediction, how far off it may be against one mark's error, and whether it was hit.
-    let mut told_by: Vec<(f64, bool)> = Vec::with_capacity(gcps.len());
-    let mut places: Vec<(PixelPoint, f64)> = Vec::new();
-    // Where something was predicted already, and how closely.
-    let mut told: Vec<(PixelPoint, f64)> = pixels.iter().map(|p| (*p, level_px)).collect();
-    for (k, gcp) in gcps.iter().enumerate() {
-        if k == a || k == b {
-            continue;
-        }
-        let predicted = similarity.invert(*gcp);
-        if !field.contains(predicted) {
-            continue;
-        }
-        let spread = spread_from_pair(gcps[a], gcps[b], *gcp);
-        let radius = level_px * spread;
-        // Squares: every prediction is held against every other.
-        let (nearest, touches) = told.iter().fold((f64::INFINITY, false), |(nearest, touches), (p, r)| {
-            let (x, y) = (p.x - predicted.x, p.y - predicted.y);
-            let square = x * x + y * y;
-            (nearest.min(square), touches || square < (r + radius) * (r + radius))
-        });
-        let nearest = nearest.sqrt();
-        // Circles that touch are one prediction, and so are places that one mark covers: a point that was surveyed
-        // twice is no second witness, nor is a mark that was found in two pieces.
-        if touches || nearest < field.usual_place_px() {
-            continue;
-        }
-        told.push((predicted, radius));
-        places.push((predicted, radius));
-        let density = field.density_near(predicted);
+    let mut told_by: Vec<(f64, bool)> = Vec::with_capacity(predictions.of.len());
+    let places = line.pixels.iter().map(|p| (*p, level_px)).collect();
+    let mut told = Told { places, usual_place_px: field.usual_place_px() };
+    for prediction in &predictions.of {
+        let (place, radius) = (prediction.place, level_px * prediction.spread);
+        let Some(nearest) = told.nearest_px(place, radius) else { continue };
+        told.places.push((place, radius));
+        let density = *prediction.density.get_or_init(|| field.density_near(place));
         let by_chance = -(-density * std::f64::consts::PI * radius * radius).exp_m1();
         // Nor is much said by a neighbour where every candidate has one.
         probabilities.push(by_chance.max(field.company(nearest).unwrap_or(0.0)));
-        told_by.push((spread, false));
         // One mark is evidence for one GCP only.
-        if let Some((candidate, _)) = field.nearest_of(predicted, radius, |candidate| may(candidate, k))
-            && !hit.iter().any(|other| field.one_place(candidate, *other))
-        {
-            hit.push(candidate);
-            if let Some(last) = told_by.last_mut() {
-                last.1 = true;
+        let near = field.nearest_of(place, radius, |candidate| may(candidate, prediction.gcp));
+        let is_hit = near.is_some_and(|(candidate, _)| {
+            let new = !hit.iter().any(|other| field.one_place(candidate, *other));
+            if new {
+                hit.push(candidate);
             }
-        }
+            new
+        });
+        told_by.push((prediction.spread, is_hit));
     }
-    count_rows(field, line, &hit, &places, &mut probabilities);
+    let places = &told.places[line.pixels.len()..];
+    count_rows(field, line, &hit, places, &mut probabilities);
     let (tail, extent) = best_tail(&probabilities, &told_by, level_px);
     let whole = log10_tail(&probabilities, hit.len()) - EXTENTS[0].1.log10();
     let levels = (LEVELS_PX.len() as f64).log10();
-    Some(PairEvidence {
+    PairEvidence {
         log10_false_alarms: log10_tests + levels + tail,
         log10_whole_false_alarms: log10_tests + levels + whole,
         extent,
         hits: hit.len() + 2,
         gcps_in_image: probabilities.len() + 2,
-    })
+    }
 }
 
 /// Points on a line and clutter in a row meet far more often than their density tells: raises the chances of the

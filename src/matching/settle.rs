@@ -1,18 +1,24 @@
 //! From a hypothesis to a pattern: least squares over all GCPs that have a mark, cleaned, and weighed.
 
 use crate::matching::Pattern;
-use crate::matching::evidence::{LEVELS_PX, Line, evidence_of, spread_from_pair};
+use crate::matching::evidence::{LEVELS_PX, Line, Predictions, evidence_of, spread_from_pair};
 use crate::matching::far::root_mean_square;
 use crate::matching::search::{GcpPair, Hypothesis, Search};
 use autoref_raster::coords::PixelPoint;
 use autoref_solve::Similarity;
 use autoref_solve::similarity::{Pair, fit_equal_weights};
 
-/// Pairs of a pattern that it is weighed by, the longest; fewer where many points lie in the image, since every
-/// weighing takes long.
+/// Pairs of a pattern that it is weighed by, the longest.
 const MOST_BASES: usize = 48;
 const FEW_BASES: usize = 4;
-const MANY: usize = 200;
+/// Where more points lie in the image there are fewer: each holds every point against every other.
+const MANY: usize = 60;
+
+/// How many pairs a pattern is weighed by, where so many points lie in the image.
+fn bases_for(gcps_in_image: usize) -> usize {
+    let square = |n: usize| n * n;
+    (MOST_BASES * square(MANY) / square(gcps_in_image.max(MANY))).max(FEW_BASES)
+}
 
 /// Fewer pairs than these are weighed against all points in the image.
 pub(super) const FEWEST_NEAR: usize = 5;
@@ -157,19 +163,21 @@ impl Search<'_> {
         }
         bases.sort_by(|s, t| t.0.total_cmp(&s.0).then((s.1, s.2).cmp(&(t.1, t.2))));
         let gcps_in_image = self.gcps.iter().filter(|g| self.field.contains(similarity.invert(**g))).count();
-        bases.truncate(if gcps_in_image <= MANY { MOST_BASES } else { FEW_BASES });
+        bases.truncate(bases_for(gcps_in_image));
         let mut best: Option<(f64, (usize, usize), f64)> = None;
         let mut whole = f64::INFINITY;
         for (_, i, j) in bases {
-            let line = Line::through(&self.field, [self.field.points()[pairs[i].0], self.field.points()[pairs[j].0]]);
+            let pixels = [self.field.points()[pairs[i].0], self.field.points()[pairs[j].0]];
+            let line = Line::through(&self.field, pixels);
+            let bases = (pairs[i].1, pairs[j].1);
+            let Some(predictions) = Predictions::of(&self.field, self.gcps, bases, pixels) else { continue };
             // Three or four that agree more closely than marks are centred are as many parts of marks.
             for &level in LEVELS_PX.iter().filter(|level| **level >= 1.0 || pairs.len() >= FEWEST_NEAR) {
                 let may = |candidate: usize, gcp: usize| self.allows(candidate, gcp);
-                let bases = (pairs[i].1, pairs[j].1);
-                let evidence = evidence_of(&self.field, self.gcps, bases, &line, level, self.log10_tests, &may);
-                whole = evidence.map_or(whole, |e| whole.min(e.log10_whole_false_alarms));
-                if let Some(e) = evidence.filter(|e| best.is_none_or(|b| e.log10_false_alarms < b.0)) {
-                    best = Some((e.log10_false_alarms, bases, e.extent));
+                let evidence = evidence_of(&self.field, &predictions, &line, level, self.log10_tests, &may);
+                whole = whole.min(evidence.log10_whole_false_alarms);
+                if best.is_none_or(|b| evidence.log10_false_alarms < b.0) {
+                    best = Some((evidence.log10_false_alarms, bases, evidence.extent));
                 }
             }
         }

@@ -110,8 +110,8 @@ impl Aspects {
         across / (along + across)
     }
 
-    /// The class of a direction, which must not be (0, 0). Without a branch: directions come in no order that a processor
-    /// could guess.
+    /// The class of a direction, which must not be (0, 0). Without a branch: directions come in no order that a
+    /// processor could guess.
     #[inline]
     fn of(&self, east: f64, north: f64) -> usize {
         /// By signs: east below and above 0, north below and above 0. West belongs to the first quarter.
