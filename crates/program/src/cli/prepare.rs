@@ -175,12 +175,20 @@ pub fn own_handedness(info: &RasterInfo, matching: &MatchArgs) -> Option<Handedn
     (g[1] * g[5] - g[2] * g[4] > 0.0).then_some(Handedness::Mirrored)
 }
 
-/// The matcher that was asked for, knowing how many sets of priors it may be tried with. `own`: what the image says of
-/// its handedness; both ways are tried then.
+/// What a matcher's searches have together.
+#[derive(Clone, Copy)]
+pub struct Shared {
+    /// So many, sets of priors and looks at the image, share the limit on false alarms.
+    pub chances: usize,
+    /// So many share the work that one may take.
+    pub searches: u64,
+}
+
+/// The matcher that was asked for. `own`: what the image says of its handedness; both ways are tried then.
 pub fn matcher(
     matching: &MatchArgs,
     own: Option<Handedness>,
-    tries: usize,
+    shared: Shared,
     time_limit: &TimeLimit,
 ) -> anyhow::Result<Box<dyn Matcher>> {
     if !(matching.max_false_alarms > 0.0 && matching.max_false_alarms <= 1.0) {
@@ -190,22 +198,24 @@ pub fn matcher(
         bail!("--north-up takes degrees from 0 to 180");
     }
     if matching.allow_mirrored || own.is_some() {
-        let within = one_way(matching, 2 * tries, time_limit)?;
+        let within = one_way(matching, Shared { chances: 2 * shared.chances, ..shared }, time_limit)?;
         return Ok(Box::new(MirrorMatcher { within, expected: own }));
     }
-    one_way(matching, tries, time_limit)
+    one_way(matching, shared, time_limit)
 }
 
 /// The matcher of images that are not mirrored.
-fn one_way(matching: &MatchArgs, tries: usize, time_limit: &TimeLimit) -> anyhow::Result<Box<dyn Matcher>> {
+fn one_way(matching: &MatchArgs, shared: Shared, time_limit: &TimeLimit) -> anyhow::Result<Box<dyn Matcher>> {
     if matching.matcher == MatcherArg::Tpp {
-        let max_false_alarms = matching.max_false_alarms / tries as f64;
+        let max_false_alarms = matching.max_false_alarms / shared.chances as f64;
         return Ok(Box::new(matching.patterns.matcher(matching.gsd, max_false_alarms)?));
     }
+    let whole = RobustMatcher::default();
     Ok(Box::new(RobustMatcher {
         max_false_alarms: matching.max_false_alarms,
-        tries: tries as f64,
+        tries: shared.chances as f64,
+        budget_hypotheses: whole.budget_hypotheses / shared.searches,
         time_limit: time_limit.clone(),
-        ..RobustMatcher::default()
+        ..whole
     }))
 }

@@ -24,7 +24,7 @@ use clap::Args;
 
 use crate::cli::args::{GcpArgs, MarkArgs, MatchArgs, PaintArg, ReadArgs};
 use crate::cli::document::Document;
-use crate::cli::prepare::{self, Prepared};
+use crate::cli::prepare::{self, Prepared, Shared};
 use crate::cli::progress::Bar;
 use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
@@ -112,7 +112,7 @@ pub fn first_look(args: &RunArgs) -> anyhow::Result<RunResult> {
     let matcher = prepare::matcher(
         &args.matching,
         prepare::own_handedness(info, &args.matching),
-        priors.len(),
+        Shared { chances: priors.len(), searches: 1 },
         &args.matching.limit(),
     )?;
     let bar = Bar::new(info, args.quiet || args.json);
@@ -164,9 +164,12 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         && args.refine == RefineArg::Always;
     let time_limit = args.matching.limit();
     let own = prepare::own_handedness(info, &args.matching);
-    let matcher_of = |chances: usize| prepare::matcher(&args.matching, own, priors.len() * chances, &time_limit);
-    let (matcher, learned_matcher) = (matcher_of(if learns { 2 } else { 1 })?, matcher_of(4)?);
-    let cluster_matcher = matcher_of(4 * MOST_CLUSTERS)?;
+    let matcher_of = |chances: usize, searches: usize| {
+        let shared = Shared { chances: priors.len() * chances, searches: searches as u64 };
+        prepare::matcher(&args.matching, own, shared, &time_limit)
+    };
+    let (matcher, learned_matcher) = (matcher_of(if learns { 2 } else { 1 }, 1)?, matcher_of(4, 1)?);
+    let cluster_matcher = matcher_of(4 * MOST_CLUSTERS, MOST_CLUSTERS)?;
     let bar = Bar::new(info, args.quiet || args.json);
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();

@@ -15,7 +15,7 @@ use crate::cli::accuracy::{self, extent};
 use crate::cli::args::{GcpArgs, MatchArgs};
 use crate::cli::diagnosis;
 use crate::cli::document::Document;
-use crate::cli::prepare;
+use crate::cli::prepare::{self, Shared};
 use crate::cli::replay;
 use crate::cli::run;
 use crate::cli::solving::{ImagePlace, SolvingArgs};
@@ -81,7 +81,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
         image_size_px: size,
     };
     let time_limit = args.matching.limit();
-    let matcher = prepare::matcher(&args.matching, None, 1, &time_limit)?;
+    let matcher = prepare::matcher(&args.matching, None, Shared { chances: 1, searches: 1 }, &time_limit)?;
     let match_started = Instant::now();
     let mut outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
     diagnosis::examine(
