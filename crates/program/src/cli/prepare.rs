@@ -210,12 +210,10 @@ fn one_way(matching: &MatchArgs, shared: Shared, time_limit: &TimeLimit) -> anyh
         let max_false_alarms = matching.max_false_alarms / shared.chances as f64;
         return Ok(Box::new(matching.patterns.matcher(matching.gsd, max_false_alarms)?));
     }
-    let whole = RobustMatcher::default();
     Ok(Box::new(RobustMatcher {
         max_false_alarms: matching.max_false_alarms,
         tries: shared.chances as f64,
-        budget_hypotheses: whole.budget_hypotheses / shared.searches,
+        budget_hypotheses: RobustMatcher::default().budget_hypotheses / shared.searches,
         time_limit: time_limit.clone(),
-        ..whole
     }))
 }
