@@ -14,7 +14,7 @@ use crate::grid::Grid;
 use crate::kept::Room;
 use crate::model::Model;
 use crate::output::{self, Cut, Form};
-use crate::source::{Heights, Patch};
+use crate::source::Heights;
 use crate::stream::Means;
 use crate::zones::{Ring, Zones};
 
@@ -302,10 +302,9 @@ impl AlignedFiles {
             self.means.threads,
             Vec::new,
             |heights: &mut Vec<f64>, window| {
-                let (width, height) = (window.width as usize, window.height as usize);
-                a.read(Patch { x: window.x as i64, y: window.y as i64, width, height }, heights)?;
-                let mut values = Vec::with_capacity(width * height);
-                for (row, line) in (window.y..).zip(heights.chunks_exact(width)) {
+                a.read(window.into(), heights)?;
+                let mut values = Vec::with_capacity(heights.len());
+                for (row, line) in (window.y..).zip(heights.chunks_exact(window.width as usize)) {
                     if alignment.tilt.is_none() {
                         values.extend(line.iter().map(|z| stored(z + alignment.shift_m[2])));
                         continue;
