@@ -19,8 +19,8 @@ use std::cell::OnceCell;
 use std::f64::consts::SQRT_2;
 
 use crate::matching::field::Field;
+use crate::matching::predictions::{Counted, Predictions};
 use autoref_raster::coords::{MapPoint, PixelPoint};
-use autoref_solve::Similarity;
 
 /// Tolerance levels tried, pixels: a half for marks that agree to a tenth, then 1 to 11.3 by √2.
 pub const LEVELS_PX: [f64; 9] = [0.5, 1.0, SQRT_2, 2.0, 2.0 * SQRT_2, 4.0, 4.0 * SQRT_2, 8.0, 8.0 * SQRT_2];
@@ -73,67 +73,6 @@ pub struct PairEvidence {
     pub gcps_in_image: usize,
 }
 
-/// Where a pair of points on a pair of GCPs predicts the others: the same for every tolerance.
-pub(super) struct Predictions {
-    /// In the image, in the order of the list.
-    of: Vec<Prediction>,
-}
-
-struct Prediction {
-    gcp: usize,
-    place: PixelPoint,
-    /// How far off it may be, against one mark's error.
-    spread: f64,
-    /// Points per px² about it, once somebody asks.
-    density: OnceCell<f64>,
-}
-
-impl Predictions {
-    /// `None` where the pair of GCPs is one place.
-    pub(super) fn of(
-        field: &Field,
-        gcps: &[MapPoint],
-        (a, b): (usize, usize),
-        pixels: [PixelPoint; 2],
-    ) -> Option<Self> {
-        let similarity = Similarity::through(pixels, [gcps[a], gcps[b]])?;
-        let others = gcps.iter().enumerate().filter(|&(k, _)| k != a && k != b);
-        let placed = others.map(|(gcp, at)| (gcp, *at, similarity.invert(*at)));
-        let of = placed.filter(|(_, _, place)| field.contains(*place)).map(|(gcp, at, place)| {
-            let spread = spread_from_pair(gcps[a], gcps[b], at);
-            Prediction { gcp, place, spread, density: OnceCell::new() }
-        });
-        Some(Predictions { of: of.collect() })
-    }
-}
-
-/// Where something was predicted already, and how closely.
-struct Told {
-    places: Vec<(PixelPoint, f64)>,
-    usual_place_px: f64,
-}
-
-impl Told {
-    /// How far the nearest of them is from a place; `None` where one's circle touches that of the place, or one mark
-    /// covers both: circles that touch are one prediction, and so are places that one mark covers. A point that was
-    /// surveyed twice is no second witness, nor is a mark that was found in two pieces.
-    fn nearest_px(&self, place: PixelPoint, radius: f64) -> Option<f64> {
-        let surely_one = self.usual_place_px * self.usual_place_px * (1.0 - 1e-9);
-        let mut nearest = f64::INFINITY;
-        // Lists follow the ground: the last ones lie nearest. Squares: every prediction is held against every other.
-        for (p, r) in self.places.iter().rev() {
-            let (x, y) = (p.x - place.x, p.y - place.y);
-            let square = x * x + y * y;
-            if square < (r + radius) * (r + radius) || square < surely_one {
-                return None;
-            }
-            nearest = nearest.min(square);
-        }
-        let nearest = nearest.sqrt();
-        (nearest >= self.usual_place_px).then_some(nearest)
-    }
-}
-
 /// Tests the exact hypothesis that takes `pixels` to the GCPs `a` and `b`, at one tolerance level.
 pub fn pair_evidence(
     field: &Field,
@@ -143,37 +82,32 @@ pub fn pair_evidence(
     level_px: f64,
     log10_tests: f64,
 ) -> Option<PairEvidence> {
-    let predictions = Predictions::of(field, gcps, pair, pixels)?;
-    Some(evidence_of(field, &predictions, &Line::through(field, pixels), level_px, log10_tests, &|_, _| true))
+    let predictions = Predictions::of(field, gcps, pair, pixels, level_px, &|_, _| true)?;
+    let counted = predictions.counted(field, level_px);
+    Some(evidence_of(field, (&predictions, &counted), &Line::through(field, pixels), level_px, log10_tests))
 }
 
-/// The same where some candidates cannot be some GCPs: hits that `may` forbids are none, and every chance is counted as
-/// if nothing were forbidden, so that the evidence is never stronger than without.
+/// The same of predictions that are known, those that count among them. Where some candidates cannot be some GCPs every chance is counted as if
+/// nothing were forbidden, so that the evidence is never stronger than without.
 pub(super) fn evidence_of(
     field: &Field,
-    predictions: &Predictions,
+    (predictions, counted): (&Predictions, &[Counted]),
     line: &Line,
     level_px: f64,
     log10_tests: f64,
-    may: &dyn Fn(usize, usize) -> bool,
 ) -> PairEvidence {
-    let mut probabilities = Vec::with_capacity(predictions.of.len());
+    let mut probabilities = Vec::with_capacity(counted.len());
     let mut hit: Vec<usize> = Vec::new();
     // Of each prediction, how far off it may be against one mark's error, and whether it was hit.
-    let mut told_by: Vec<(f64, bool)> = Vec::with_capacity(predictions.of.len());
-    let places = line.pixels.iter().map(|p| (*p, level_px)).collect();
-    let mut told = Told { places, usual_place_px: field.usual_place_px() };
-    for prediction in &predictions.of {
-        let (place, radius) = (prediction.place, level_px * prediction.spread);
-        let Some(nearest) = told.nearest_px(place, radius) else { continue };
-        told.places.push((place, radius));
-        let density = *prediction.density.get_or_init(|| field.density_near(place));
-        let by_chance = -(-density * std::f64::consts::PI * radius * radius).exp_m1();
+    let mut told_by: Vec<(f64, bool)> = Vec::with_capacity(counted.len());
+    for &Counted { index, nearest_px } in counted {
+        let prediction = &predictions.of[index];
+        let radius = prediction.radius_px(level_px);
+        let by_chance = -(-prediction.density(field) * std::f64::consts::PI * radius * radius).exp_m1();
         // Nor is much said by a neighbour where every candidate has one.
-        probabilities.push(by_chance.max(field.company(nearest).unwrap_or(0.0)));
+        probabilities.push(by_chance.max(field.company(nearest_px).unwrap_or(0.0)));
         // One mark is evidence for one GCP only.
-        let near = field.nearest_of(place, radius, |candidate| may(candidate, prediction.gcp));
-        let is_hit = near.is_some_and(|(candidate, _)| {
+        let is_hit = prediction.hit_at(level_px).is_some_and(|candidate| {
             let new = !hit.iter().any(|other| field.one_place(candidate, *other));
             if new {
                 hit.push(candidate);
@@ -182,18 +116,23 @@ pub(super) fn evidence_of(
         });
         told_by.push((prediction.spread, is_hit));
     }
-    let places = &told.places[line.pixels.len()..];
-    count_rows(field, line, &hit, places, &mut probabilities);
+    let circle = |c: &Counted| (predictions.of[c.index].place, predictions.of[c.index].radius_px(level_px));
+    let places: Vec<(PixelPoint, f64)> = counted.iter().map(circle).collect();
+    count_rows(field, line, &hit, &places, &mut probabilities);
     let (tail, extent) = best_tail(&probabilities, &told_by, level_px);
     let whole = log10_tail(&probabilities, hit.len()) - EXTENTS[0].1.log10();
-    let levels = (LEVELS_PX.len() as f64).log10();
     PairEvidence {
-        log10_false_alarms: log10_tests + levels + tail,
-        log10_whole_false_alarms: log10_tests + levels + whole,
+        log10_false_alarms: log10_tests + log10_of_levels() + tail,
+        log10_whole_false_alarms: log10_tests + log10_of_levels() + whole,
         extent,
         hits: hit.len() + 2,
         gcps_in_image: probabilities.len() + 2,
     }
+}
+
+/// log₁₀ of the number of tolerances tried, which is a factor of the number of false alarms.
+pub(super) fn log10_of_levels() -> f64 {
+    (LEVELS_PX.len() as f64).log10()
 }
 
 /// Points on a line and clutter in a row meet far more often than their density tells: raises the chances of the
@@ -221,11 +160,16 @@ fn count_rows(field: &Field, line: &Line, hit: &[usize], places: &[(PixelPoint, 
 /// of the limit on accidents that each extent has. A pair of a cluster says little of points far away: their circles
 /// hold clutter by chance, and with them all six of six that lie close together are no surprise. All together is what a
 /// pattern that spans the image needs, so nearly all of the limit is its own.
-const EXTENTS: [(f64, f64); 4] = [(f64::INFINITY, 0.9), (6.0, 0.034), (3.5, 0.033), (2.2, 0.033)];
+pub(super) const EXTENTS: [(f64, f64); 4] = [(f64::INFINITY, 0.9), (6.0, 0.034), (3.5, 0.033), (2.2, 0.033)];
 
 /// Only patterns whose marks agree as closely as this are weighed by their neighbours: among wrong rows of a list a
 /// loose fit of a few close together is no surprise.
 const NEAR_LEVEL_PX: f64 = 1.5;
+
+/// The extents that a pattern is weighed at with this tolerance.
+pub(super) fn extents_at(level_px: f64) -> &'static [(f64, f64)] {
+    if level_px <= NEAR_LEVEL_PX { &EXTENTS } else { &EXTENTS[..1] }
+}
 
 /// log₁₀ of the probability of as many hits, at the extent where it is least, each over its share of the limit; and
 /// that extent.
@@ -236,8 +180,7 @@ fn best_tail(probabilities: &[f64], told_by: &[(f64, bool)], level_px: f64) -> (
         let hits = inside().filter(|&i| told_by[i].1).count();
         (log10_tail(&chances, hits) - share.log10(), extent)
     };
-    let extents = if level_px <= NEAR_LEVEL_PX { &EXTENTS[..] } else { &EXTENTS[..1] };
-    extents.iter().copied().map(at).min_by(|a, b| a.0.total_cmp(&b.0)).expect("there are extents")
+    extents_at(level_px).iter().copied().map(at).min_by(|a, b| a.0.total_cmp(&b.0)).expect("there are extents")
 }
 
 /// Half-widths of the rows that are looked at, in usual places.

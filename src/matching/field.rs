@@ -188,6 +188,12 @@ impl Field {
     /// The same among the points that `may` says.
     #[inline]
     pub fn nearest_of(&self, p: PixelPoint, reach_px: f64, may: impl Fn(usize) -> bool) -> Option<(usize, f64)> {
+        self.nearest_square(p, reach_px, may).map(|(i, square)| (i, square.sqrt()))
+    }
+
+    /// The same with the square of its distance.
+    #[inline]
+    pub fn nearest_square(&self, p: PixelPoint, reach_px: f64, may: impl Fn(usize) -> bool) -> Option<(usize, f64)> {
         let mut best: Option<(usize, f64)> = None;
         self.around(p, reach_px, |i, q| {
             let square = (q.x - p.x).powi(2) + (q.y - p.y).powi(2);
@@ -196,7 +202,7 @@ impl Field {
                 best = Some((i, square));
             }
         });
-        best.map(|(i, square)| (i, square.sqrt()))
+        best
     }
 
     fn measure_neighbours(&mut self) {

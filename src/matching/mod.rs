@@ -40,6 +40,7 @@ mod grow;
 mod looks;
 mod mirrored;
 mod names;
+mod predictions;
 mod rivals;
 pub mod robust;
 mod screening;
@@ -48,6 +49,7 @@ mod settle;
 mod sharpen;
 mod time_limit;
 pub mod tpp;
+mod weigh;
 
 use serde::{Deserialize, Serialize};
 

@@ -12,7 +12,7 @@ use crate::gcp::{Gcp, GcpRole};
 use crate::matching::explain::explain;
 use crate::matching::grow::GROWN_FROM;
 use crate::matching::names::Names;
-use crate::matching::search::{GcpPair, Search};
+use crate::matching::search::{GcpPair, LOOKS_OF_ONE, Search};
 use crate::matching::{Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, Solved, TimeLimit};
 use autoref_raster::coords::MapPoint;
 
@@ -187,11 +187,8 @@ struct Work {
 }
 
 impl Work {
-    /// Looks of which one takes as long as the rest of a hypothesis.
-    const LOOKS: u64 = 16;
-
     fn each(&self) -> u64 {
-        1 + self.looks / Self::LOOKS
+        1 + self.looks / LOOKS_OF_ONE
     }
 
     fn hypotheses_left(&self) -> u64 {
@@ -349,8 +346,7 @@ impl RobustMatcher {
             done += 1;
             found.effort.hypotheses_tried += tried;
             work.tried(tried);
-            for hypothesis in hypotheses {
-                let pattern = search.refine(pair, hypothesis);
+            for pattern in search.refine_all(pair, hypotheses) {
                 work.refined(pattern.as_ref());
                 if let Some(pattern) = pattern {
                     found.take(pattern, &search);

@@ -9,7 +9,7 @@ use crate::candidate::Candidate;
 use crate::matching::Priors;
 use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
 use crate::matching::draws::Draws;
-use crate::matching::evidence::{CLOSEST_PX, LEVELS_PX, log10_tail, spread_from_pair};
+use crate::matching::evidence::{CLOSEST_PX, log10_of_levels, log10_tail, spread_from_pair};
 use crate::matching::field::Field;
 use crate::matching::looks::Looking;
 use crate::matching::names::Names;
@@ -31,6 +31,8 @@ const CROWD: usize = 3000;
 /// From so many hypotheses on, the points of a pair are shared out: waking a thread takes as long as some hundreds of
 /// them.
 const WORTH_THREADS: u64 = 10_000;
+/// Looks at other GCPs of which one takes as long as the rest of a hypothesis.
+pub(super) const LOOKS_OF_ONE: u64 = 16;
 /// A budget that is enough for less than this share of a pair's hypotheses is spent in part only.
 const LEAST_SHARE: f64 = 0.1;
 /// How often a search that tries pairs in a random order may miss a pattern that could be believed.
@@ -226,8 +228,7 @@ impl<'a> Search<'a> {
         let density = self.field.points().len() as f64 / self.field.area_px2();
         let closest = -(-density * std::f64::consts::PI * 1.5 * CLOSEST_PX * CLOSEST_PX).exp_m1();
         let chances = vec![closest; self.gcps.len() - 2];
-        let levels = (LEVELS_PX.len() as f64).log10();
-        let believed = |hits: &usize| self.log10_tests + levels + log10_tail(&chances, *hits) <= log10_limit;
+        let believed = |hits: &usize| self.log10_tests + log10_of_levels() + log10_tail(&chances, *hits) <= log10_limit;
         let Some(hits) = (1..=chances.len()).find(believed) else { return whole };
         Screening::shortest(hits, chances.len(), pairs, PATTERN_MISSED)
     }
@@ -309,7 +310,8 @@ impl<'a> Search<'a> {
             keep_best(&mut one);
             (one, n + m)
         };
-        if pair.hypotheses().min(budget) < WORTH_THREADS {
+        let looks = 1 + self.gcps.len() as u64 / LOOKS_OF_ONE;
+        if pair.hypotheses().min(budget) * looks < WORTH_THREADS {
             return (0..affordable).map(chosen).fold((Vec::new(), 0), join);
         }
         (0..affordable).into_par_iter().map(chosen).reduce(|| (Vec::new(), 0), join)

@@ -1,29 +1,30 @@
 //! From a hypothesis to a pattern: least squares over all GCPs that have a mark, cleaned, and weighed.
 
+use rayon::prelude::*;
+
 use crate::matching::Pattern;
-use crate::matching::evidence::{LEVELS_PX, Line, Predictions, evidence_of, spread_from_pair};
-use crate::matching::far::root_mean_square;
+use crate::matching::evidence::spread_from_pair;
 use crate::matching::search::{GcpPair, Hypothesis, Search};
 use autoref_raster::coords::PixelPoint;
 use autoref_solve::Similarity;
 use autoref_solve::similarity::{Pair, fit_equal_weights};
 
-/// Pairs of a pattern that it is weighed by, the longest.
-const MOST_BASES: usize = 48;
-const FEW_BASES: usize = 4;
-/// Where more points lie in the image there are fewer: each holds every point against every other.
-const MANY: usize = 60;
-
-/// How many pairs a pattern is weighed by, where so many points lie in the image.
-fn bases_for(gcps_in_image: usize) -> usize {
-    let square = |n: usize| n * n;
-    (MOST_BASES * square(MANY) / square(gcps_in_image.max(MANY))).max(FEW_BASES)
-}
-
 /// Fewer pairs than these are weighed against all points in the image.
 pub(super) const FEWEST_NEAR: usize = 5;
 
+/// From so many GCPs on the hypotheses of a pair are shared out: waking a thread takes as long as refining a few of a
+/// short list.
+const WORTH_THREADS: usize = 60;
+
 impl Search<'_> {
+    /// [`Search::refine`] of each.
+    pub fn refine_all(&self, pair: &GcpPair, hypotheses: Vec<Hypothesis>) -> Vec<Option<Pattern>> {
+        if self.gcps.len() < WORTH_THREADS {
+            return hypotheses.into_iter().map(|hypothesis| self.refine(pair, hypothesis)).collect();
+        }
+        hypotheses.into_par_iter().map(|hypothesis| self.refine(pair, hypothesis)).collect()
+    }
+
     /// A hypothesis as a least-squares pattern with its number of false alarms.
     pub fn refine(&self, pair: &GcpPair, hypothesis: Hypothesis) -> Option<Pattern> {
         let points = self.field.points();
@@ -144,61 +145,6 @@ impl Search<'_> {
         let mut pairs: Vec<(usize, usize)> = taken.into_iter().map(|(candidate, k, _)| (candidate, k)).collect();
         pairs.sort_by_key(|pair| pair.1);
         pairs
-    }
-
-    /// The smallest number of false alarms over the pattern's own pairs and the tolerance levels, and the pairs that it
-    /// goes by.
-    pub(super) fn weigh(
-        &self,
-        similarity: Similarity,
-        pairs: Vec<(usize, usize)>,
-        noise_px: f64,
-    ) -> Option<(Pattern, Vec<(usize, usize)>)> {
-        let mut bases: Vec<(f64, usize, usize)> = Vec::new();
-        for i in 0..pairs.len() {
-            for j in i + 1..pairs.len() {
-                let (p, q) = (self.field.points()[pairs[i].0], self.field.points()[pairs[j].0]);
-                bases.push(((p.x - q.x).hypot(p.y - q.y), i, j));
-            }
-        }
-        bases.sort_by(|s, t| t.0.total_cmp(&s.0).then((s.1, s.2).cmp(&(t.1, t.2))));
-        let gcps_in_image = self.gcps.iter().filter(|g| self.field.contains(similarity.invert(**g))).count();
-        bases.truncate(bases_for(gcps_in_image));
-        let mut best: Option<(f64, (usize, usize), f64)> = None;
-        let mut whole = f64::INFINITY;
-        for (_, i, j) in bases {
-            let pixels = [self.field.points()[pairs[i].0], self.field.points()[pairs[j].0]];
-            let line = Line::through(&self.field, pixels);
-            let bases = (pairs[i].1, pairs[j].1);
-            let Some(predictions) = Predictions::of(&self.field, self.gcps, bases, pixels) else { continue };
-            // Three or four that agree more closely than marks are centred are as many parts of marks.
-            for &level in LEVELS_PX.iter().filter(|level| **level >= 1.0 || pairs.len() >= FEWEST_NEAR) {
-                let may = |candidate: usize, gcp: usize| self.allows(candidate, gcp);
-                let evidence = evidence_of(&self.field, &predictions, &line, level, self.log10_tests, &may);
-                whole = whole.min(evidence.log10_whole_false_alarms);
-                if best.is_none_or(|b| evidence.log10_false_alarms < b.0) {
-                    best = Some((evidence.log10_false_alarms, bases, evidence.extent));
-                }
-            }
-        }
-        let (near, (a, b), extent) = best?;
-        // Of four any one can be a wrong row that happens to fit its neighbours.
-        let log10_false_alarms = if pairs.len() < FEWEST_NEAR { whole } else { near };
-        let told = |k: usize| k == a || k == b || spread_from_pair(self.gcps[a], self.gcps[b], self.gcps[k]) <= extent;
-        let going_by = pairs.iter().copied().filter(|&(_, k)| told(k)).collect();
-        let log10_whole_false_alarms = whole;
-        let placed: Vec<Pair> = pairs.iter().map(|&(candidate, gcp)| self.pair(candidate, gcp)).collect();
-        let deviation_px = root_mean_square(&similarity, &placed);
-        let pattern = Pattern {
-            pairs,
-            similarity,
-            log10_false_alarms,
-            log10_whole_false_alarms,
-            noise_px,
-            deviation_px,
-            gcps_in_image,
-        };
-        Some((pattern, going_by))
     }
 }
 

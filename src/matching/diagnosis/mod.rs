@@ -22,7 +22,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
 use crate::gcp::{Gcp, GcpRole};
-use crate::matching::grow::GROWN_FROM;
 use crate::matching::{MatchOutcome, Matcher, Pattern, Priors, RobustMatcher};
 use autoref_raster::coords::MapPoint;
 use autoref_raster::crs::{Coordinate, Crs};
@@ -87,6 +86,9 @@ pub struct KnownPlace {
     pub centre_px: autoref_raster::coords::PixelPoint,
 }
 
+/// All attempts to undo a mistake may do this part of the work of the search.
+const TOGETHER_PART: u64 = 4;
+
 /// What the diagnosis is told.
 pub struct GrossErrors<'a> {
     pub candidates: &'a [Candidate],
@@ -114,12 +116,10 @@ impl GrossErrors<'_> {
             return Vec::new();
         }
         let attempts = self.attempts();
-        // In a dense field hypotheses cost several times as much: there all attempts share what else is for each.
-        let sharing = if self.candidates.len() < GROWN_FROM { 1 } else { attempts.len().max(1) as u64 };
         let matcher = RobustMatcher {
-            // Each attempt is one more chance for a false alarm, and must not take long.
+            // Each attempt is one more chance for a false alarm; together they must not take long.
             tries: self.matcher.tries * (1.0 + attempts.len() as f64),
-            budget_hypotheses: self.matcher.budget_hypotheses / 4 / sharing,
+            budget_hypotheses: self.matcher.budget_hypotheses / TOGETHER_PART / attempts.len() as u64,
             ..self.matcher.clone()
         };
         for attempt in &attempts {

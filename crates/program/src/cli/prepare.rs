@@ -180,8 +180,8 @@ pub fn own_handedness(info: &RasterInfo, matching: &MatchArgs) -> Option<Handedn
 pub struct Shared {
     /// So many, sets of priors and looks at the image, share the limit on false alarms.
     pub chances: usize,
-    /// So many share the work that one may take.
-    pub searches: u64,
+    /// Each may do this part of the work that one may do.
+    pub part: u64,
 }
 
 /// The matcher that was asked for. `own`: what the image says of its handedness; both ways are tried then.
@@ -213,7 +213,7 @@ fn one_way(matching: &MatchArgs, shared: Shared, time_limit: &TimeLimit) -> anyh
     Ok(Box::new(RobustMatcher {
         max_false_alarms: matching.max_false_alarms,
         tries: shared.chances as f64,
-        budget_hypotheses: RobustMatcher::default().budget_hypotheses / shared.searches,
+        budget_hypotheses: RobustMatcher::default().budget_hypotheses / shared.part,
         time_limit: time_limit.clone(),
     }))
 }

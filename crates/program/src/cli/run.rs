@@ -112,7 +112,7 @@ pub fn first_look(args: &RunArgs) -> anyhow::Result<RunResult> {
     let matcher = prepare::matcher(
         &args.matching,
         prepare::own_handedness(info, &args.matching),
-        Shared { chances: priors.len(), searches: 1 },
+        Shared { chances: priors.len(), part: 1 },
         &args.matching.limit(),
     )?;
     let bar = Bar::new(info, args.quiet || args.json);
@@ -158,18 +158,19 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let info = source.info();
     let priors = prepare::priors(info, &args.matching);
     // Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident.
-    // The first look has half of what is allowed, the second a quarter, all clusters of colour together the last.
+    // The first look has half of what is allowed, the second a quarter, all clusters of colour together the last. Of
+    // the work the second look, and the clusters together, may do half of what the first may.
     let learns = matches!(detector, MarkDetector::Paint(_))
         && args.second_pass != SecondPassArg::Never
         && args.refine == RefineArg::Always;
     let time_limit = args.matching.limit();
     let own = prepare::own_handedness(info, &args.matching);
-    let matcher_of = |chances: usize, searches: usize| {
-        let shared = Shared { chances: priors.len() * chances, searches: searches as u64 };
+    let matcher_of = |chances: usize, part: usize| {
+        let shared = Shared { chances: priors.len() * chances, part: part as u64 };
         prepare::matcher(&args.matching, own, shared, &time_limit)
     };
-    let (matcher, learned_matcher) = (matcher_of(if learns { 2 } else { 1 }, 1)?, matcher_of(4, 1)?);
-    let cluster_matcher = matcher_of(4 * MOST_CLUSTERS, MOST_CLUSTERS)?;
+    let (matcher, learned_matcher) = (matcher_of(if learns { 2 } else { 1 }, 1)?, matcher_of(4, 2)?);
+    let cluster_matcher = matcher_of(4 * MOST_CLUSTERS, 2 * MOST_CLUSTERS)?;
     let bar = Bar::new(info, args.quiet || args.json);
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();

@@ -81,7 +81,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
         image_size_px: size,
     };
     let time_limit = args.matching.limit();
-    let matcher = prepare::matcher(&args.matching, None, Shared { chances: 1, searches: 1 }, &time_limit)?;
+    let matcher = prepare::matcher(&args.matching, None, Shared { chances: 1, part: 1 }, &time_limit)?;
     let match_started = Instant::now();
     let mut outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
     diagnosis::examine(

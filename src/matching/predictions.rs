@@ -1,0 +1,148 @@
+//! Where two points laid on two GCPs put the others, and which of these places count at a tolerance.
+
+use std::cell::OnceCell;
+
+use crate::matching::evidence::spread_from_pair;
+use crate::matching::field::Field;
+use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_solve::Similarity;
+
+/// What two points laid on two GCPs predict: the same for every tolerance.
+pub(super) struct Predictions {
+    /// The two points.
+    ends: [PixelPoint; 2],
+    /// In the image, in the order of the list.
+    pub of: Vec<Prediction>,
+}
+
+pub(super) struct Prediction {
+    pub place: PixelPoint,
+    /// How far off it may be, against one mark's error.
+    pub spread: f64,
+    /// The nearest candidate that may be the GCP, and the square of its distance.
+    nearest: Option<(usize, f64)>,
+    /// Points per px² about it, once somebody asks.
+    density: OnceCell<f64>,
+}
+
+impl Prediction {
+    pub fn radius_px(&self, level_px: f64) -> f64 {
+        level_px * self.spread
+    }
+
+    /// The nearest candidate within the tolerance.
+    pub fn hit_at(&self, level_px: f64) -> Option<usize> {
+        let radius_px = self.radius_px(level_px);
+        self.nearest.filter(|nearest| nearest.1 <= radius_px * radius_px).map(|nearest| nearest.0)
+    }
+
+    pub fn density(&self, field: &Field) -> f64 {
+        *self.density.get_or_init(|| field.density_near(self.place))
+    }
+}
+
+/// A prediction that counts at a tolerance.
+#[derive(Clone, Copy)]
+pub(super) struct Counted {
+    /// Its place in [`Predictions::of`].
+    pub index: usize,
+    /// To the nearest place that counted before it.
+    pub nearest_px: f64,
+}
+
+impl Predictions {
+    /// At tolerances up to `most_px`; `may` says which candidate can be which GCP. `None` where the pair of GCPs is one
+    /// place.
+    pub fn of(
+        field: &Field,
+        gcps: &[MapPoint],
+        (a, b): (usize, usize),
+        ends: [PixelPoint; 2],
+        most_px: f64,
+        may: &dyn Fn(usize, usize) -> bool,
+    ) -> Option<Self> {
+        let similarity = Similarity::through(ends, [gcps[a], gcps[b]])?;
+        let others = gcps.iter().enumerate().filter(|&(k, _)| k != a && k != b);
+        let placed = others.map(|(gcp, at)| (gcp, *at, similarity.invert(*at)));
+        let of = placed.filter(|(_, _, place)| field.contains(*place)).map(|(gcp, at, place)| {
+            let spread = spread_from_pair(gcps[a], gcps[b], at);
+            let nearest = field.nearest_square(place, most_px * spread, |candidate| may(candidate, gcp));
+            Prediction { place, spread, nearest, density: OnceCell::new() }
+        });
+        Some(Predictions { ends, of: of.collect() })
+    }
+
+    /// The predictions that count at a tolerance: of circles that touch, and of places that one mark covers, the first.
+    /// A point that was surveyed twice is no second witness, nor is a mark that was found in two pieces.
+    pub fn counted(&self, field: &Field, level_px: f64) -> Vec<Counted> {
+        let mut told = Told::about(self.ends, level_px, field.usual_place_px(), self.of.len());
+        let count = |(index, prediction): (usize, &Prediction)| {
+            let nearest_px = told.take(prediction.place, prediction.radius_px(level_px))?;
+            Some(Counted { index, nearest_px })
+        };
+        self.of.iter().enumerate().filter_map(count).collect()
+    }
+}
+
+/// Where something was predicted already, and how closely.
+struct Told {
+    x: Vec<f64>,
+    y: Vec<f64>,
+    radius_px: Vec<f64>,
+    usual_place_px: f64,
+}
+
+impl Told {
+    /// Places that are looked at together.
+    const TOGETHER: usize = 16;
+
+    /// With the ends of a hypothesis, each a circle of the tolerance.
+    fn about(ends: [PixelPoint; 2], level_px: f64, usual_place_px: f64, room: usize) -> Self {
+        let empty = || Vec::with_capacity(room + ends.len());
+        let mut told = Told { x: empty(), y: empty(), radius_px: empty(), usual_place_px };
+        ends.iter().for_each(|end| told.push(*end, level_px));
+        told
+    }
+
+    fn push(&mut self, place: PixelPoint, radius_px: f64) {
+        self.x.push(place.x);
+        self.y.push(place.y);
+        self.radius_px.push(radius_px);
+    }
+
+    /// Takes in a place that counts, and says how far the nearest before it is; `None` where it does not count.
+    fn take(&mut self, place: PixelPoint, radius_px: f64) -> Option<f64> {
+        let nearest_px = self.nearest_px(place, radius_px)?;
+        self.push(place, radius_px);
+        Some(nearest_px)
+    }
+
+    /// How far the nearest of them is from a place; `None` where one's circle touches that of the place, or one mark
+    /// covers both.
+    fn nearest_px(&self, place: PixelPoint, radius_px: f64) -> Option<f64> {
+        let surely_one = self.usual_place_px * self.usual_place_px * (1.0 - 1e-9);
+        let mut nearest = f64::INFINITY;
+        let (mut end, all) = (self.x.len(), (&self.x[..], &self.y[..], &self.radius_px[..]));
+        // Lists follow the ground: the last ones lie nearest. Squares and smaller-of-two without a branch: every
+        // prediction is held against every other.
+        while end > 0 {
+            let part = end.saturating_sub(Self::TOGETHER)..end;
+            let (xs, ys, radii) = (&all.0[part.clone()], &all.1[part.clone()], &all.2[part.clone()]);
+            end = part.start;
+            let (mut least, mut gap) = (f64::INFINITY, f64::INFINITY);
+            for i in 0..xs.len() {
+                let (x, y, reach) = (xs[i] - place.x, ys[i] - place.y, radii[i] + radius_px);
+                let square = x * x + y * y;
+                let beyond = square - reach * reach;
+                least = if square < least { square } else { least };
+                gap = if beyond < gap { beyond } else { gap };
+            }
+            if gap < 0.0 || least < surely_one {
+                return None;
+            }
+            nearest = if least < nearest { least } else { nearest };
+        }
+        let nearest = nearest.sqrt();
+        (nearest >= self.usual_place_px).then_some(nearest)
+    }
+}
