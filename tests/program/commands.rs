@@ -158,6 +158,21 @@ pub(super) const CASES: &[Case] = &[
         inputs: &["a.tif", "p.toml"],
     },
     Case { line: "compare-solvers a.tif --gcps a.geojson --profile-json o/x.json", inputs: &["a.tif", "a.geojson"] },
+    // The image is found beside the result.
+    Case { line: "apply r.json --out o --write csv,warp --overwrite", inputs: &["r.json", "a.tif"] },
+    Case {
+        line: "a.jpg --gcps a.geojson --out o --write exif --no-report --overwrite",
+        inputs: &["a.jpg", "a.geojson"],
+    },
+    Case {
+        line: "a.tif --gcps a.geojson --dem grid.tif --write-dem o/dem.tif --out o --no-report --overwrite",
+        inputs: &["a.tif", "a.geojson", "grid.tif"],
+    },
+    Case { line: "mask a.tif -o o --probability --explain --colmap --overwrite", inputs: &["a.tif"] },
+    Case { line: "gcps convert a.geojson -o o/x.shp --overwrite", inputs: &["a.geojson"] },
+    Case { line: "cloud clean k.xyz k2.xyz --out o --overwrite", inputs: &["k.xyz", "k2.xyz"] },
+    Case { line: "cloud clean k.xyz --out o/x.copc.laz --overwrite", inputs: &["k.xyz"] },
+    Case { line: "dem resample d1.tif --out o/x{res}.tif --resolution 10,20 --overwrite", inputs: &["d1.tif"] },
 ];
 
 /// Two elevation models, a cloud, a table of colours, a list as CSV, a result and a folder of frames beside the rest.
@@ -176,7 +191,15 @@ pub(super) fn everything() -> Place {
     }
     let cloud: String =
         (0..400).map(|i| format!("{} {} {}\n", i % 20, i / 20, 100.0 + 0.01 * f64::from(i % 7))).collect();
-    std::fs::write(at("k.xyz"), format!("x y z\n{cloud}")).expect("writable");
+    for name in ["k.xyz", "k2.xyz"] {
+        std::fs::write(at(name), format!("x y z\n{cloud}")).expect("writable");
+    }
+    let jpeg = gdal::DriverManager::get_driver_by_name("JPEG").expect("GDAL has it");
+    let image = gdal::Dataset::open(at("a.tif")).expect("an image");
+    image.create_copy(&jpeg, at("a.jpg"), &gdal::cpl::CslStringList::new()).expect("a copy");
+    let (width, height) = image.raster_size();
+    driver.create_with_band_type::<f32, _>(at("grid.tif"), width, height, 1).expect("writable");
+    let _ = std::fs::remove_file(at("a.jpg.aux.xml"));
     std::fs::write(at("t.txt"), "90 0 0 255\n300 255 0 0\n").expect("writable");
     std::fs::write(at("g.csv"), "name,easting,northing\nA,1,1\nB,2,1.5\n").expect("writable");
     std::fs::create_dir(at("o")).expect("a folder");

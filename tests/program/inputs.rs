@@ -1,5 +1,7 @@
 //! No command writes over what it reads, under whatever name and with whatever flags.
 
+mod options;
+
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -190,14 +192,28 @@ fn a_full_or_closed_standard_output_is_no_panic() {
     let shell = |line: String| {
         Command::new("bash").arg("-c").arg(line).current_dir(folder.path()).output().expect("bash starts")
     };
-    let job = format!("{binary} a.tif --gcps a.geojson --out r --overwrite --json --no-report");
     std::fs::create_dir(folder.path().join("r")).expect("a folder");
-    let closed = shell(format!("set -o pipefail; {job} | true; exit ${{PIPESTATUS[0]}}"));
-    let said = String::from_utf8_lossy(&closed.stderr).into_owned();
-    assert!(!said.contains("panicked") && closed.status.code() == Some(0), "{:?} {said}", closed.status);
-    let full = shell(format!("{job} > /dev/full"));
-    let said = String::from_utf8_lossy(&full.stderr).into_owned();
-    assert!(!said.contains("panicked") && full.status.code() == Some(2), "{:?} {said}", full.status);
+    model(&folder.path().join("d.tif"), 500_000.0);
+    std::fs::write(folder.path().join("k.xyz"), "x y z\n1 2 3\n2 3 4\n").expect("writable");
+    for line in [
+        "a.tif --gcps a.geojson --out r --overwrite --json --no-report",
+        "detect a.tif -o -",
+        "mask a.tif -o m --overwrite --json",
+        "dem profile d.tif --line '500005,6999990 500100,6999900'",
+        "cloud info k.xyz --json",
+        "gcps convert a.geojson -o b.csv --overwrite --json",
+        "fiducials --list-cameras",
+        "man",
+        "--help",
+    ] {
+        let closed = shell(format!("set -o pipefail; {binary} {line} | true; exit ${{PIPESTATUS[0]}}"));
+        let said = String::from_utf8_lossy(&closed.stderr).into_owned();
+        assert!(!said.contains("panicked") && closed.status.code() == Some(0), "{line}: {:?} {said}", closed.status);
+        let full = shell(format!("{binary} {line} > /dev/full"));
+        let said = String::from_utf8_lossy(&full.stderr).into_owned();
+        assert!(!said.contains("panicked") && full.status.code() == Some(2), "{line}: {:?} {said}", full.status);
+        assert_eq!(said.matches("No space left").count(), 1, "{line}: {said}");
+    }
 }
 
 /// A small model of hills at `x0`.

@@ -16,7 +16,7 @@ fn main() -> ExitCode {
     let arguments = cli::joined(std::env::args_os());
     let (matches, cli) = match parsed(&arguments) {
         Ok(both) => both,
-        Err(error) => return cli::option_errors::tell(&error, &arguments),
+        Err(error) => return ended(cli::option_errors::tell(&error, &arguments)),
     };
     let files_as_json = cli::everywhere::mute(&matches);
     let times = cli::init_log(&cli);
@@ -47,6 +47,11 @@ fn main() -> ExitCode {
         }
         ExitCode::from(2)
     });
+    ended(code)
+}
+
+/// The exit code, unless standard output could not be written.
+fn ended(code: ExitCode) -> ExitCode {
     match out::fault() {
         None => code,
         Some(fault) => {

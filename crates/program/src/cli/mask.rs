@@ -1,6 +1,5 @@
 //! `autoref-stream mask`: which ground of a frame is worth matching.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -339,15 +338,14 @@ pub fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn tell(args: &MaskArgs, bar: &ProgressBar, report: &Report) -> anyhow::Result<()> {
-    let mut out = std::io::stdout().lock();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string(report)?)?;
+        println!("{}", serde_json::to_string(report)?);
     } else if !args.quiet {
         let words = report.warnings.iter().map(|w| format!("; {w}")).collect::<String>();
         let (keep, unsure) = (100.0 * report.keep_share, 100.0 * report.unsure_share);
         bar.suspend(|| {
-            writeln!(out, "{}: {}, {keep:.1} % kept, {unsure:.1} % unsure{words}", report.mask.display(), report.status)
-        })?;
+            println!("{}: {}, {keep:.1} % kept, {unsure:.1} % unsure{words}", report.mask.display(), report.status);
+        });
     }
     Ok(())
 }
@@ -357,7 +355,7 @@ fn tell_error(args: &MaskArgs, bar: &ProgressBar, frame: &Path, error: &Error) -
     let named = if text.contains(&*frame.to_string_lossy()) { text } else { format!("{}: {text}", frame.display()) };
     if args.json {
         let line = serde_json::json!({ "frame": frame, "status": "error", "error": named });
-        writeln!(std::io::stdout(), "{line}")?;
+        println!("{line}");
     }
     bar.suspend(|| eprintln!("autoref-stream: {named}"));
     Ok(())

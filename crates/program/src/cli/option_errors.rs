@@ -12,7 +12,8 @@ use crate::out;
 /// Prints help and versions as the parser has them, an error as one line.
 pub fn tell(error: &clap::Error, arguments: &[OsString]) -> ExitCode {
     if !error.use_stderr() || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-        error.exit();
+        out::keep(error.print());
+        return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
     }
     let help = help(arguments);
     let said = about_files(error).unwrap_or_else(|| about_negatives(message(error), arguments));
