@@ -14,6 +14,7 @@ use crate::gcp::text::{Line, number};
 use crate::gcp::{Gcp, GcpRole, csv_list};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::words::counted;
 
 /// What OpenDroneMap's labels of check points begin with.
 pub const CHECK_PREFIX: &str = "CHK-";
@@ -186,8 +187,9 @@ fn observations(path: &Path, rows: &[Line<'_>]) -> Result<RawList> {
     list.order = ColumnOrder::Ruled;
     if unlabelled > 0 {
         list.notes.push(format!(
-            "{}: {unlabelled} points have no label and were numbered in order of appearance",
-            path.display()
+            "{}: {} no label: numbered in order of appearance",
+            path.display(),
+            counted(unlabelled, "point has", "points have")
         ));
     }
     Ok(list)

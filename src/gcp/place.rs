@@ -178,13 +178,17 @@ fn centre_of(image: &ImageGeoreference) -> Option<(f64, f64)> {
     Crs::parse(&image.crs_wkt).ok()?.longitude_latitude(easting, northing)
 }
 
+fn all_lie(points: usize) -> String {
+    if points == 1 { "the only point lies".to_owned() } else { format!("all {points} points lie") }
+}
+
 fn exchanged(path: &Path, points: usize, crs: &Crs, axes: &str) -> Error {
     Error::format(
         path,
         "the coordinates",
         format!(
-            "all {points} points lie where they cannot be in {}, and right with {axes} exchanged; exchange the \
-             columns, or give --fix-axes",
+            "{} where they cannot be in {}, and right with {axes} exchanged; exchange the columns, or give --fix-axes",
+            all_lie(points),
             crs.title()
         ),
     )
@@ -228,8 +232,8 @@ pub(super) fn refuse_known_mistakes(
     if are_exchanged(points, crs, None) {
         let title = crs.title();
         let what = format!(
-            "all {} points lie where they cannot be in {title}, and right with {axes} exchanged; exchange the columns",
-            points.len()
+            "{} where they cannot be in {title}, and right with {axes} exchanged; exchange the columns",
+            all_lie(points.len())
         );
         return Err(Error::format(path, "the coordinates", what));
     }
@@ -277,8 +281,8 @@ pub(super) fn refuse_elsewhere(
         path,
         "the coordinates",
         format!(
-            "all {} points lie outside the area of use of {}{}; {remedy}",
-            points.len(),
+            "{} outside the area of use of {}{}; {remedy}",
+            all_lie(points.len()),
             crs.title(),
             how.map_or(String::new(), |how| format!(" ({how})"))
         ),

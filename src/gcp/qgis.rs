@@ -14,6 +14,7 @@ use crate::gcp::text::{Line, Separator, number, split};
 use crate::gcp::{Gcp, GcpRole};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::words::counted;
 
 pub(super) fn is_points(lines: &[Line<'_>]) -> bool {
     lines.iter().take(3).any(|line| {
@@ -80,7 +81,11 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
     }
     let mut list = RawList::new(points, crs);
     if disabled > 0 {
-        list.notes.push(format!("{}: {disabled} points are switched off and were left out", path.display()));
+        list.notes.push(format!(
+            "{}: {} switched off and left out",
+            path.display(),
+            counted(disabled, "point is", "points are")
+        ));
     }
     Ok(list)
 }

@@ -10,6 +10,7 @@ use crate::gcp::{Gcp, GcpRole, accuracy_list, heights, image_crs, place, recogni
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::error::{Error, Result};
+use autoref_raster::words::counted;
 
 /// Matching weighs every pair of points against every other point.
 const MOST_POINTS: usize = 2_000;
@@ -246,7 +247,10 @@ fn choose(path: &Path, mut points: Vec<RawPoint>, options: &GcpOptions) -> Resul
         return Err(Error::format(
             path,
             "the list",
-            format!("{} point(s) to use; an orientation needs at least 2, a believable match 4 or more", points.len()),
+            format!(
+                "{} to use; an orientation needs at least 2, a believable match 4 or more",
+                counted(points.len(), "point", "points")
+            ),
         ));
     }
     Ok(points.into_iter().map(|p| p.gcp).collect())
@@ -314,7 +318,10 @@ fn drop_repeated(path: &Path, points: &mut Vec<RawPoint>, notes: &mut Vec<String
         }
     }
     if let Some((_, what)) = repeats.first() {
-        let more = if repeats.len() > 1 { format!("; so were {} more rows", repeats.len() - 1) } else { String::new() };
+        let more = match repeats.len() - 1 {
+            0 => String::new(),
+            more => format!("; likewise {}", counted(more, "other row", "other rows")),
+        };
         notes.push(format!("{}: {what}{more}", path.display()));
     }
     let repeats: std::collections::HashSet<usize> = repeats.into_iter().map(|(index, _)| index).collect();

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use crate::gcp::text::{Line, number};
 use autoref_raster::error::{Error, Result};
+use autoref_raster::words::counted;
 
 /// What to do with one.
 const REMEDY: &str = "take the mean of the places on each mark, with its name, or export the points from the field \
@@ -20,14 +21,20 @@ pub(super) fn refuse(path: &Path, lines: &[Line<'_>]) -> Result<()> {
     };
     if let Some(line) = lines.iter().take(HEAD).find(|line| is_head_of_solution(line.text)) {
         let rows = lines.iter().filter(|line| !line.text.starts_with('%') && !line.is_comment()).count();
-        return told(&line, format!("this is RTKLIB's solution, {rows} places of a receiver by the time"));
+        return told(
+            &line,
+            format!("this is RTKLIB's solution, {} of a receiver by the time", counted(rows, "place", "places")),
+        );
     }
     let mut rows = lines.iter().filter(|line| !line.is_comment() && !line.text.starts_with('%'));
     let firsts: Vec<&Line<'_>> = rows.by_ref().take(3).collect();
     match firsts.first() {
         Some(first) if firsts.iter().all(|line| is_epoch(line.text)) => {
             let count = firsts.len() + rows.count();
-            told(first, format!("these are {count} places of a receiver by the time (RTKLIB's solution)"))
+            told(
+                first,
+                format!("this is RTKLIB's solution, {} of a receiver by the time", counted(count, "place", "places")),
+            )
         }
         Some(first) if firsts.iter().all(|line| is_message(line.text)) => {
             told(first, "these are the messages of a receiver (NMEA)".to_owned())

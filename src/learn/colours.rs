@@ -7,6 +7,7 @@ use crate::profile::colour::{Metric, Space, lab_from_srgb};
 use crate::profile::{ColourModel, Examine, Filters, GateLimits, Profile, Shape, Size, Target};
 use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::words::counted;
 
 /// Fewest colours that say how the paint varies.
 const FEWEST: usize = 10;
@@ -81,7 +82,10 @@ pub fn read_colours(path: &Path) -> Result<Vec<[f64; 3]>> {
             continue;
         }
         if !titled && cells.len() != 3 {
-            return Err(wrong(format!("{} values where red, green and blue are expected", cells.len())));
+            return Err(wrong(format!(
+                "{} where red, green and blue are expected",
+                counted(cells.len(), "value", "values")
+            )));
         }
         let value = |column: usize| {
             let cell = cells.get(column).map_or("", String::as_str);

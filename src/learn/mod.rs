@@ -16,6 +16,7 @@ use crate::profile::{
 use crate::segment::classify::Classifier;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::words::counted;
 use autoref_raster::{Patch, SampleType};
 use example::{Example, example, outlined};
 
@@ -197,7 +198,7 @@ fn from_examples(name: &str, patches: &[&Patch], examples: &[Example], options: 
     let share = back.iter().filter(|d| **d <= limit).count() as f64 / back.len() as f64;
     let mut profile = Profile {
         name: name.to_owned(),
-        description: format!("Learned from {} marks", examples.len()),
+        description: format!("Learned from {}", counted(examples.len(), "mark", "marks")),
         shape: Shape::Any,
         colour: ColourModel {
             space: Space::Lab,

@@ -1,6 +1,7 @@
 //! Why nothing is believed, in plain words.
 
 use crate::matching::{Effort, Evidence, Pattern, Priors};
+use autoref_raster::words::counted;
 
 /// Plain words on why nothing is believed.
 pub(super) fn explain(
@@ -17,10 +18,10 @@ pub(super) fn explain(
         advice.push(
             "check that the profile fits the paint: try another --profile, or learn one with `sample`".to_string(),
         );
-        format!("{candidates} candidate(s) found; a pattern needs at least 3")
+        format!("{} found; a pattern needs at least 3", counted(candidates, "candidate", "candidates"))
     } else if control.len() < 3 {
         advice.push("give at least 3 control points; 4 or 5 visible ones are needed to be sure".to_string());
-        format!("{} control point(s) in the list; a pattern needs at least 3", control.len())
+        format!("{} in the list; a pattern needs at least 3", counted(control.len(), "control point", "control points"))
     } else if let Some(best) = &best {
         let beaten = best.log10_false_alarms <= limit;
         if beaten {

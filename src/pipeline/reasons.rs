@@ -293,17 +293,20 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
     } else if contrast >= LEAST_CONTRAST && paint.is_none() {
         // Targets that are found by their shape have no paint to be faint.
         let what = format!(
-            "something stands out there by {contrast:.1} deviations of the ground, but no whole target: covered in part, \
+            "something stands out there by {contrast:.1} times the scatter of the ground, but no whole target: covered in part, \
              cut, or of another shape"
         );
         (Reason::Hidden, what)
     } else if contrast >= LEAST_CONTRAST || is_trace() {
         (
             Reason::Faint,
-            format!("{:.0} % of the paint's contrast, {contrast:.1} deviations of the ground", 100.0 * share),
+            format!(
+                "{:.0} % of the paint's contrast, {contrast:.1} times the scatter of the ground around",
+                100.0 * share
+            ),
         )
     } else {
-        let what = format!("ground or cover of {hex}, {contrast:.1} deviations from what lies around");
+        let what = format!("no paint is seen there, only ground or cover of {hex}, much as around it");
         (Reason::Hidden, what)
     };
     NotFound { contrast: Some(contrast), colour: Some(hex), ..NotFound::new(name, reason, at, detail) }

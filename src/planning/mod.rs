@@ -11,6 +11,7 @@ pub use moves::{Move, moves};
 pub use paint::{PaintRank, rank_paints};
 pub use strength::{CornerStrength, Strength, strength};
 
+use autoref_raster::words::counted;
 use serde::Serialize;
 
 use autoref_raster::coords::MapPoint;
@@ -172,7 +173,8 @@ fn advice(points: &[(String, MapPoint)], plan: &Plan) -> Vec<String> {
         let more = plan.ambiguities.len() - 1;
         if more > 0 {
             let at_least = if plan.ambiguities.len() == ambiguity::MOST_REPORTED { "at least " } else { "" };
-            advice.push(format!("{at_least}{more} other way(s) are as bad or nearly so"));
+            let more = counted(more, "other way is", "other ways are");
+            advice.push(format!("{at_least}{more} as bad or nearly so"));
         }
     }
     advice.extend(plan.moves.iter().map(Move::words));

@@ -97,7 +97,7 @@ fn pages_are_images_and_not_their_overviews() {
             assert!(patch.rgb.iter().all(|&pixel| pixel == [value; 3]), "page {page}");
         }
         let error = open(&path, choice, 2, CACHE).map(|_| ()).expect_err("there are two pages");
-        assert!(error.to_string().contains("has 2 image(s)"), "{error}");
+        assert!(error.to_string().contains("has 2 images"), "{error}");
     }
 }
 

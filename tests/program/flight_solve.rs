@@ -80,7 +80,7 @@ fn solve_resumes_after_a_failure_and_a_kill_at_every_stage() {
     for i in 1..4 {
         std::fs::remove_file(place.at("frames").join(format!("f{i}.png"))).expect("removed");
     }
-    expect(&solve("one", &bin, &[]), 2, &["frames: 1 frames match"]);
+    expect(&solve("one", &bin, &[]), 2, &["frames: 1 frame matches"]);
     let typo = place.write("typo.toml", "[frames]\nfolder = \"frames\"\npattern = [\"*.png\"]\nmask = 1\n");
     expect(
         &autoref(&["flight", "solve", text(&typo), "-o", text(&place.at("typo"))], None, &[]),

@@ -16,6 +16,7 @@ use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::line;
 use crate::pose::Pose;
+use autoref_raster::words::counted;
 
 /// A point with its pixel.
 #[derive(Clone, Debug)]
@@ -112,7 +113,7 @@ pub fn resect(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Result
     let least = options.focal.fewest();
     if seen.len() < least {
         return Err(Error::no_result(
-            format!("{} points are seen in the frame, {least} are needed", seen.len()),
+            format!("{} seen in the frame, {least} are needed", counted(seen.len(), "point is", "points are")),
             match options.focal {
                 Focal::Known => "measure more points",
                 Focal::Sought => "measure more points, or state the focal length",

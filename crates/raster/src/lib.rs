@@ -56,6 +56,7 @@ pub mod tile_folder;
 pub mod units;
 mod white;
 pub mod window;
+pub mod words;
 mod written;
 
 pub use elevation::ElevationModel;

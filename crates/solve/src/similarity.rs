@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::weights::{self, LEAST_SIGMA_PX, prior_variances};
 use autoref_raster::coords::{GeoTransform, Handedness, MapPoint, PixelPoint};
+use autoref_raster::words::counted;
 
 /// Baarda's √λ₀ for a significance of 0.1 % and a power of 80 %.
 const BAARDA_SQRT_LAMBDA: f64 = 4.13;
@@ -389,7 +390,10 @@ fn warnings(pairs: &[Pair], solution: &Solution) -> Vec<String> {
     }
     let outliers = solution.pairs.iter().filter(|p| p.outlier).count();
     if outliers > 0 {
-        warnings.push(format!("{outliers} point(s) fit badly and were given less weight; see `outlier` in the list"));
+        warnings.push(format!(
+            "{} badly and less weight is given; see `outlier` in the list",
+            counted(outliers, "point fits", "points fit")
+        ));
     }
     let n = pairs.len() as f64;
     let centred: Vec<(f64, f64)> =

@@ -255,7 +255,7 @@ impl<'a> Rest<'a> {
                     }
                     tests += 1;
                     if let Some(hit) = self.repaired_at(position) {
-                        let what = format!("{column} {edited:.3} for {value:.3}");
+                        let what = format!("with {column} {edited:.3} instead of {value:.3} there is a mark");
                         best.push((self.chance(&hit).log10(), gcp, mistake, what));
                     }
                 }
@@ -274,19 +274,28 @@ impl<'a> Rest<'a> {
             let slip = if mistake == Mistake::MistypedDigit { "a mistyped digit" } else { "two digits transposed" };
             let doubt = match certainty {
                 Certainty::Claimed => String::new(),
-                Certainty::Possible => {
-                    format!(" (chance does the same in {:.1} % of lists)", 100.0 * 10f64.powf(log10))
-                }
+                Certainty::Possible => format!(" (chance does the same in {})", one_of_lists(log10)),
             };
             diagnoses.push(Diagnosis {
                 mistake,
                 certainty,
                 gcps: vec![self.name(gcp)],
-                message: format!("{}: {slip}, {what}? there is a mark then, and none as listed{doubt}", self.name(gcp)),
+                message: format!("{}: {slip}? {what}, as listed there is none{doubt}", self.name(gcp)),
                 log10_false_alarms: Some(log10),
             });
         }
         diagnoses
+    }
+}
+
+/// How rare something of the chance 10^`log10` is, in words.
+fn one_of_lists(log10: f64) -> String {
+    match 10f64.powf(-log10) {
+        lists if lists < 1e6 => {
+            let unit = 10f64.powf((lists.log10().floor() - 1.0).max(0.0));
+            format!("one of {:.0} lists", (lists / unit).floor() * unit)
+        }
+        _ => "fewer than one of a million lists".to_owned(),
     }
 }
 
@@ -313,6 +322,15 @@ fn edits(value: f64) -> Vec<(Mistake, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn chances_in_words() {
+        for (log10, words) in
+            [(-1.0, "one of 10 lists"), (-3.76, "one of 5700 lists"), (-9.0, "fewer than one of a million lists")]
+        {
+            assert_eq!(one_of_lists(log10), words);
+        }
+    }
 
     #[test]
     fn one_digit_or_two_neighbours_are_all_that_changes() {

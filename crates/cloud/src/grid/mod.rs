@@ -21,6 +21,7 @@ use crate::schema::{Batch, Field};
 use crate::tiles::Scratch;
 
 use accumulate::Strip;
+use autoref_raster::words::counted;
 use place::Place;
 use plane::{Plane, PointFile};
 pub use write::output_paths;
@@ -342,7 +343,11 @@ struct Lacking {
 impl Lacking {
     fn notes(&self, options: &Options) -> Vec<String> {
         let lacking = options.dimensions.iter().zip(&self.each).filter(|(_, count)| **count > 0);
-        lacking.map(|(dimension, count)| format!("{count} points have no value of {}", dimension.name)).collect()
+        lacking
+            .map(|(dimension, count)| {
+                format!("{} no value of {}", counted(*count, "point has", "points have"), dimension.name)
+            })
+            .collect()
     }
 }
 

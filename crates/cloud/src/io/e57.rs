@@ -13,6 +13,7 @@ use super::e57_schema::{self as schema, Change, Coding, Filled};
 use super::{Format, Header, PointReader, Precision};
 use crate::error::{Error, Result};
 use crate::schema::{Batch, Kind};
+use autoref_raster::words::counted;
 
 /// Each takes some hundred bytes once it is parsed; files of thousands of pictures have tens of thousands.
 const MOST_TAGS: usize = 1 << 20;
@@ -171,7 +172,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         shift: None,
         intensity: schema::intensity_limits(&clouds),
         las: None,
-        description: format!("E57, {count} scan{}", if count == 1 { "" } else { "s" }),
+        description: format!("E57, {}", counted(count, "scan", "scans")),
         schema,
     };
     let reader = ScanReader {

@@ -10,6 +10,7 @@ use super::text_line::{has_decimal_commas, has_thousands, number, numbers, plain
 use super::{Format, Header, PointReader, Precision};
 use crate::error::{Error, Result};
 use crate::schema::{Batch, Kind};
+use autoref_raster::words::counted;
 
 const MOST_COLUMNS: usize = 256;
 
@@ -119,7 +120,7 @@ fn mistake(text: &str, columns: usize) -> String {
     let row = words(text);
     match row.iter().find(|word| number(word).is_none()) {
         Some(word) if row.len() == columns => format!("`{word}` is no number"),
-        _ => format!("{} values, the lines before have {columns}", row.len()),
+        _ => format!("{}, the lines before have {columns}", counted(row.len(), "value", "values")),
     }
 }
 

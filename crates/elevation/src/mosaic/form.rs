@@ -10,6 +10,7 @@ use crate::error::{Error, Result};
 use crate::model::how_to_name_crs;
 
 use super::source::Source;
+use autoref_raster::words::counted;
 
 /// What a band says of its values.
 #[derive(Debug)]
@@ -84,8 +85,8 @@ pub fn check_alike(sources: &[Source]) -> Result<()> {
     for source in sources {
         if source.bands != first.bands || source.kind != first.kind {
             let what = format!(
-                "{} bands of {}, while {} has {} of {}",
-                source.bands,
+                "{} of {}, while {} has {} of {}",
+                counted(source.bands, "band", "bands"),
                 source.kind.name(),
                 first.path.display(),
                 first.bands,

@@ -30,6 +30,7 @@ use crate::grid::Grid;
 use crate::output::{self, Cut, Form};
 use crate::resample::Interpolation;
 use crate::window::Window;
+use autoref_raster::words::counted;
 use read::Opened;
 use source::Source;
 
@@ -478,7 +479,7 @@ impl Whole<'_> {
     fn check_numbers(&self, largest: u32) -> Result<()> {
         let count = self.sources.len();
         let Some(index) = self.index.filter(|_| largest as usize > count) else { return Ok(()) };
-        let what = format!("source {largest} is named in it, and there are {count} sources");
+        let what = format!("source {largest} is named in it, of {}", counted(count, "source", "sources"));
         let remedy = "name the sources that the index was written with, in the same order";
         Err(Error::unsupported(&index.path, what, remedy))
     }

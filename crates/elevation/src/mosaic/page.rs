@@ -7,6 +7,7 @@ use crate::grid::Grid;
 use autoref_raster::markup::escaped;
 
 use super::{Balance, DifferenceMap, Overlap};
+use autoref_raster::words::counted;
 
 /// Rows of a table at most: the largest differences, or the first sources.
 const MOST_ROWS: usize = 300;
@@ -34,8 +35,8 @@ pub fn text(sources: &[(&Path, Grid)], mosaic: &Grid, balance: &Balance) -> Stri
     };
     let _ = write!(
         out,
-        "<h1>Overlaps of a mosaic</h1><p>{} sources, {} × {} cells.</p>",
-        sources.len(),
+        "<h1>Overlaps of a mosaic</h1><p>{}, {} × {} cells.</p>",
+        counted(sources.len(), "source", "sources"),
         mosaic.width,
         mosaic.height
     );

@@ -17,6 +17,7 @@ use autoref_raster::protected::{protect, same_file};
 
 use super::form::{self, BandForm, check_alike, check_one_crs};
 use super::{Choice, turn};
+use autoref_raster::words::counted;
 
 /// One raster.
 pub struct Source {
@@ -286,8 +287,9 @@ pub fn without_companion(sources: &[Source], mosaic: &Grid, cells: &[u64]) -> Ve
         let size = (source.grid.step_x / mosaic.step_x) * (source.grid.step_y / mosaic.step_y);
         let share = 100.0 * *cells as f64 / (source.grid.width as f64 * source.grid.height as f64 * size);
         Some(format!(
-            "{}: {cells} cells ({share:.1} % of its area) have no value in {} and are not taken from it",
+            "{}: {} ({share:.1} % of its area) without a value in {}: not taken from it",
             source.path.display(),
+            counted(*cells, "cell", "cells"),
             companion.path.display()
         ))
     };

@@ -11,6 +11,7 @@ use autoref_raster::output_folder::OutputFolder;
 use clap::Args;
 
 use super::cloud::{Cameras, MeansArgs};
+use autoref_raster::words::counted;
 
 /// Grid clouds: one Cloud Optimized GeoTIFF for each dimension and statistic, and one with its holes filled.
 ///
@@ -158,14 +159,14 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
         let report = grid::grid(cloud, &args.output, &options)?;
         if !args.means.json {
             println!(
-                "{}: {} points, {} × {} cells of {} {}, {} files",
+                "{}: {}, {} × {} cells of {} {}, {}",
                 cloud.display(),
-                report.points,
+                counted(report.points, "point", "points"),
                 report.frame.columns,
                 report.frame.rows,
                 report.frame.cell_m,
                 report.unit,
-                report.files_written.len()
+                counted(report.files_written.len(), "file", "files")
             );
         }
         reports.push(report);

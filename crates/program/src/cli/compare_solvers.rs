@@ -17,6 +17,7 @@ use serde_json::{Value, json};
 use crate::cli::residual_analysis::{Residual, analyse};
 use crate::cli::run::{self, RunArgs};
 use crate::cli::solving::{SolverArg, flat};
+use autoref_raster::words::counted;
 
 /// Solve the same points by all solvers and print the comparison.
 ///
@@ -192,7 +193,7 @@ fn of_table(path: &Path) -> anyhow::Result<Vec<Row>> {
         return Err(Error::format(
             path,
             "the table",
-            format!("{} matched point(s); at least 2 are needed", rows.len()),
+            format!("{}; at least 2 are needed", counted(rows.len(), "matched point", "matched points")),
         )
         .into());
     }

@@ -13,6 +13,7 @@ use crate::cli::args::{MarkArgs, PaintArg, ReadArgs};
 use crate::cli::prepare;
 use crate::cli::progress::Bar;
 use crate::cli::values::Gsd;
+use autoref_raster::words::counted;
 
 /// Find the marks in an image and write the candidates as CSV or GeoJSON.
 #[derive(Args, Debug)]
@@ -101,9 +102,9 @@ pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else if !args.quiet {
         eprintln!(
-            "{} candidates of {} regions examined, in {:.2} s",
-            found.candidates.len(),
-            found.regions_examined,
+            "{} of {} examined, in {:.2} s",
+            counted(found.candidates.len(), "candidate", "candidates"),
+            counted(found.regions_examined, "region", "regions"),
             found.timings.scan_s + found.timings.examine_s
         );
     }

@@ -11,6 +11,7 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::fiducials_page::{self, At};
+use autoref_raster::words::counted;
 
 /// Find the fiducial marks of scanned film frames and solve their interior orientation.
 ///
@@ -199,8 +200,8 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
             .map_or(String::new(), |bytes| format!(", {:.0} MiB at most", bytes as f64 / 1_048_576.0));
         let Verdicts { ok, doubtful, failed } = verdicts;
         println!(
-            "{} frames: {ok} OK, {doubtful} doubtful, {failed} failed ({} from an earlier run){memory}; results in {}",
-            summary.frames,
+            "{}: {ok} OK, {doubtful} doubtful, {failed} failed ({} from an earlier run){memory}; results in {}",
+            counted(summary.frames, "frame", "frames"),
             summary.resumed,
             args.output.display()
         );

@@ -9,6 +9,7 @@ use autoref_film::resample::kernel::Kernel;
 use autoref_film::resample::lighting::{self, Lighting};
 use autoref_film::resample::{self, Light, ResampleOptions};
 use autoref_film::{Camera, FrameResult, window};
+use autoref_raster::words::counted;
 use clap::ValueEnum;
 
 /// Frames of a roll that its light is taken from, evenly picked: more do not change it and would only be read.
@@ -140,7 +141,7 @@ pub fn resample_roll(dir: &Path, camera: &Camera, frames: &[FrameResult], args: 
         }
     }
     if !failed.is_empty() {
-        bail!("{} frame(s) were not resampled: {}", failed.len(), failed.join("; "));
+        bail!("{} not resampled: {}", counted(failed.len(), "frame was", "frames were"), failed.join("; "));
     }
     Ok(())
 }
@@ -163,7 +164,10 @@ fn roll_light(camera: &Camera, frames: &[&FrameResult], options: &ResampleOption
     }
     match lighting::of_roll(&cells) {
         Some(light) => Ok(light),
-        None => bail!("the light of {} frame(s) cannot be told from their ground; use --lighting frame", cells.len()),
+        None => bail!(
+            "the light of {} cannot be told from the ground; use --lighting frame",
+            counted(cells.len(), "frame", "frames")
+        ),
     }
 }
 

@@ -10,6 +10,7 @@ use autoref_raster::protected::protect;
 use clap::{Args, ValueEnum};
 
 use crate::cli::dem::{ResamplingArg, ResourceArgs};
+use autoref_raster::words::counted;
 
 /// Join rasters into one Cloud Optimized GeoTIFF, cell by cell from the source that is best there.
 #[derive(Args, Debug)]
@@ -109,8 +110,8 @@ pub fn run(args: &MosaicArgs) -> anyhow::Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     println!(
-        "Mosaic               {} sources, {} x {} cells, {} filled",
-        made.sources.len(),
+        "Mosaic               {}, {} x {} cells, {} filled",
+        counted(made.sources.len(), "source", "sources"),
         made.width,
         made.height,
         made.filled_cells

@@ -244,7 +244,7 @@ fn words(document: &Value, pattern: Option<&Pattern>, believed: bool) -> String 
     use std::fmt::Write;
     let mut out = String::new();
     let mut line = |label: &str, value: String| writeln!(out, "{label:<12}{value}").expect("a string takes all writes");
-    line("Points", format!("{} candidates, {} GCPs", document["candidates"], document["gcps"]));
+    line("Points", format!("{} in the image, {} listed", document["candidates"], document["gcps"]));
     match pattern {
         Some(p) if believed => line(
             "Solved",

@@ -16,6 +16,7 @@ use autoref_stream::profile::Profile;
 
 use crate::cli::args::{MarkArgs, MatchArgs, MatcherArg, PriorArg, ReadArgs};
 use crate::cli::values::Gsd;
+use autoref_raster::words::counted;
 
 /// An opened image with the detector and the plan for scanning it.
 pub struct Prepared {
@@ -36,7 +37,7 @@ fn of_a_list(image: &Path, error: autoref_raster::Error) -> autoref_raster::Erro
     let read = gcp::read(image, &GcpOptions { crs: Some("local".into()), ..GcpOptions::default() });
     match read {
         Ok(list) => autoref_raster::Error::usage(
-            format!("{}: this is a list of {} points, no image", image.display(), list.gcps.len()),
+            format!("{}: this is a list of {}, no image", image.display(), counted(list.gcps.len(), "point", "points")),
             format!("name the orthophoto first and the list behind it: IMAGE --gcps {}", image.display()),
         ),
         Err(_) => error,
@@ -72,11 +73,11 @@ pub fn open(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -
     };
     let plan = autoref_raster::memory_plan::plan(info, detector.as_detector().halo_px(), &options)?;
     tracing::info!(
-        "{}: {}×{} px, {} bands, {} ({})",
+        "{}: {}×{} px, {}, {} ({})",
         image.display(),
         info.width,
         info.height,
-        info.bands,
+        counted(info.bands, "band", "bands"),
         info.description,
         info.reader
     );

@@ -24,6 +24,7 @@ use crate::cli::document::{Document, NO_MARK_THERE};
 use crate::cli::run;
 use crate::cli::solve::SolveArgs;
 use crate::cli::solving;
+use autoref_raster::words::counted;
 
 pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Result<ExitCode> {
     if args.gcps.gcps.is_some() {
@@ -50,7 +51,10 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
         Replayed::Solved(orientation) => Outcome::Solved(orientation),
         Replayed::Unsolvable { points } => Outcome::Refused(Box::new(Evidence {
             diagnoses: Vec::new(),
-            reason: format!("the review leaves {points} point(s); an orientation needs 2 in different places"),
+            reason: format!(
+                "the review leaves {}; an orientation needs 2 in different places",
+                counted(points, "point", "points")
+            ),
             advice: vec!["accept or place more marks".into()],
             best: None,
             runner_up: None,
@@ -75,7 +79,11 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
         let notes = report::plain_warnings(solution, &marks, image.width as f64, image.height as f64);
         result.warnings.extend(notes);
     }
-    result.warnings.push(format!("{} edit(s) by hand were replayed from {}", patch.edits.len(), patch_path.display()));
+    result.warnings.push(format!(
+        "{} by hand replayed from {}",
+        counted(patch.edits.len(), "edit", "edits"),
+        patch_path.display()
+    ));
     if differs(&patch, document.result.geotransform().map(|g| g.0)) {
         bail!(
             "{}: its page had shown another transform: it was not made from {} as that is now; review its page again, or remove `shown` from the patch to replay it all the same",

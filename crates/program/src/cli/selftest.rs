@@ -16,6 +16,7 @@ use crate::cli::args::{DEFAULT_PROFILE, MarkArgs, ReadArgs};
 use crate::cli::prepare;
 use crate::cli::progress::Bar;
 use crate::cli::values::{Gsd, MarkSize};
+use autoref_raster::words::counted;
 
 /// Plant marks into an image as it is read (the file is not touched), run the detector, and say what it finds of them.
 ///
@@ -212,7 +213,10 @@ fn words(result: &Selftest, gsd_m: Option<f64>) -> String {
         ));
     }
     if result.marks_missing > 0 {
-        line(format!("{} marks less than asked for: image or --memory have no room for more", result.marks_missing));
+        line(format!(
+            "{} fewer than asked for: image or --memory have no room for more",
+            counted(result.marks_missing, "mark", "marks")
+        ));
     }
     let percent = 100.0 * WANTED_RECALL;
     line(match &result.advice {

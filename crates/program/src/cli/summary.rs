@@ -8,6 +8,7 @@ use autoref_stream::pipeline::reasons::{NotFound, Reason};
 use autoref_stream::result::{Misfit, RefusedRun, RunOutcome, RunResult, SolvedRun};
 
 use crate::cli::{accuracy, solving};
+use autoref_raster::words::counted;
 
 /// How much is said.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,7 +38,13 @@ pub fn summary(result: &RunResult, detail: Detail) -> String {
         lines.add("Note", note.clone());
     }
     if result.warnings.len() > shown {
-        lines.add("", format!("and {} more notes: --verbose, or the JSON", result.warnings.len() - shown));
+        lines.add(
+            "",
+            format!(
+                "and {}: --verbose, or the JSON",
+                counted(result.warnings.len() - shown, "more note", "more notes")
+            ),
+        );
     }
     if !result.files_written.is_empty() {
         lines.add("Files", result.files_written.join(", "));
@@ -63,15 +70,18 @@ pub(super) fn length(metres: f64) -> String {
     if metres.abs() < 1.0 { format!("{:.1} mm", 1000.0 * metres) } else { format!("{metres:.3} m") }
 }
 
+/// A direction against east, with the sense in words.
+fn turned(degrees: f64) -> String {
+    let sense = if degrees <= -5e-5 { "clockwise" } else { "anticlockwise" };
+    format!("{:.4}° {sense}", degrees.abs())
+}
+
 fn solved(result: &RunResult, run: &SolvedRun, detail: Detail, lines: &mut Lines) {
     let found = run.matches.len() + run.check_points.len();
     let inside = run.gcps_in_image;
     lines.add("Matched", format!("{found} of {inside} points in the image, {} listed", result.gcps_listed));
     let fit = &run.fit;
-    lines.add(
-        "Scale",
-        format!("{:.6} m per pixel, turned {:.4}° anticlockwise from east", fit.scale_m_per_px, fit.rotation_deg),
-    );
+    lines.add("Scale", format!("{:.6} m per pixel, turned {} from east", fit.scale_m_per_px, turned(fit.rotation_deg)));
     let (all, e, n) = (length(fit.rmse_m), length(fit.rmse_e_m), length(fit.rmse_n_m));
     lines.add("RMSE", format!("{all} = {:.2} px (east {e}, north {n})", fit.rmse_px));
     if let Some(heights) = &run.heights {
@@ -137,7 +147,10 @@ impl Verdict {
         let horizontal = run.accuracy.as_ref().and_then(|a| a.figures.horizontal.as_ref());
         let sentence = if let Some(h) = horizontal {
             let rmse = length(h.rmse_h1_m);
-            format!("solved, and {} check points agree within {rmse} (RMSE){and_chance}", h.check_points)
+            format!(
+                "solved, and {} within {rmse} (RMSE){and_chance}",
+                counted(h.check_points, "check point agrees", "check points agree")
+            )
         } else if run.matches.len() < FEW_POINTS {
             let points = run.matches.len();
             format!("solved from {points} points only: a blunder in one would hardly show{and_chance}")
@@ -184,12 +197,13 @@ fn refused(result: &RunResult, run: &RefusedRun, lines: &mut Lines) {
     for advice in &result.advice {
         lines.add("  may help", advice.clone());
     }
-    lines.add("Seen", format!("{} candidates, {} points listed", result.candidates_found, result.gcps_listed));
+    let seen = counted(result.candidates_found, "candidate", "candidates");
+    lines.add("Seen", format!("{seen}, {} listed", counted(result.gcps_listed, "point", "points")));
 }
 
 fn full(result: &RunResult, lines: &mut Lines) {
     let mut line = |label: &str, value: String| lines.add(label, value);
-    line("Marks found", format!("{} candidates", result.candidates_found));
+    line("Marks found", counted(result.candidates_found, "candidate", "candidates"));
     if let Some(second) = &result.second_pass {
         line("Second pass", second.line());
     }

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::error::{Error, Result};
+use crate::words::counted;
 
 /// Tags that the reader looks at.
 pub mod tag {
@@ -263,9 +264,9 @@ impl Directories {
             let broken = self.broken_tail.as_ref().map_or(String::new(), |what| format!(" ({what})"));
             Error::usage(
                 format!(
-                    "{}: there is no page {page}: the file has {} image(s){broken}",
+                    "{}: there is no page {page}: the file has {}{broken}",
                     self.path.display(),
-                    full.len()
+                    counted(full.len(), "image", "images")
                 ),
                 format!("give --page 0 to {}", full.len() - 1),
             )

@@ -3,6 +3,7 @@
 use super::container::{Directories, tag};
 use crate::SampleType;
 use crate::error::{Error, Result};
+use crate::words::counted;
 
 /// Compression schemes that are decoded natively.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -375,7 +376,7 @@ fn colours(all: &Directories, index: usize, samples: usize, codec: Codec, planar
         None => return Err(unsupported(all, "an image without photometric interpretation (tag 262)")),
     };
     if samples < base {
-        let what = format!("an RGB image with {samples} sample(s) a pixel");
+        let what = format!("an RGB image with {} a pixel", counted(samples, "sample", "samples"));
         return Err(Error::format(&all.path, format!("directory {index}"), what));
     }
     let extra = all.numbers(index, tag::EXTRA_SAMPLES)?.unwrap_or_default();

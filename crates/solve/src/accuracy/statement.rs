@@ -11,6 +11,7 @@
 //! (RMSE_x + RMSE_y) / 2 where the smaller is at least 0.6 of the larger (1.7308 · RMSE_r when they are equal),
 //! Accuracy_z = 1.9600 · RMSE_z; at least 20 check points.
 
+use autoref_raster::words::counted;
 use serde::{Deserialize, Serialize};
 
 /// Fewest check points that ASPRS Edition 2 accepts without a reservation.
@@ -298,9 +299,9 @@ fn produced(
 fn count_reservation(count: usize) -> Option<String> {
     (count < FEWEST_CHECK_POINTS).then(|| {
         format!(
-            "Only {count} check point{}: the standard asks for {FEWEST_CHECK_POINTS}; from so few the RMSE itself is known to \
+            "Only {}: the standard asks for {FEWEST_CHECK_POINTS}; from so few the RMSE itself is known to \
              about ±{:.0} %",
-            if count == 1 { "" } else { "s" },
+            counted(count, "check point", "check points"),
             // The standard deviation of a root mean square of 2n normal values.
             100.0 / (4.0 * count as f64).sqrt()
         )

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use super::adjust::Ties;
+use autoref_raster::words::counted;
 
 /// Names in one sentence at most.
 const MOST_NAMES: usize = 5;
@@ -116,8 +117,9 @@ pub fn of_clipped(clipped: u64, filled: u64) -> Option<String> {
     let share = if share < 0.1 { "less than 0.1".into() } else { format!("{share:.1}") };
     (clipped > 0).then(|| {
         format!(
-            "{clipped} cells ({share} %) would lie beyond the limits of the sample type and are clipped; \
-             --balance-to a source of less contrast, or gdal_translate -ot to a wider type first, keeps them"
+            "{} ({share} %) beyond the limits of the sample type: clipped; --balance-to a source of less contrast, or \
+             gdal_translate -ot to a wider type first, keeps what is lost",
+            counted(clipped, "cell", "cells")
         )
     })
 }

@@ -8,6 +8,7 @@ use autoref_flight::resect::{Alternative, Resection, Seen};
 use autoref_flight::statistics::Residuals;
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Parameter, Pose, Projection, SizeOf};
+use autoref_raster::words::counted;
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use serde_json::{Map, Value, json};
 
@@ -237,9 +238,9 @@ fn notes(found: &Resection) -> Vec<String> {
     let mut notes = Vec::new();
     if !found.alternatives.is_empty() {
         notes.push(format!(
-            "the points allow {} other pose(s) about as good as this one (alternatives), and the standard deviations hold \
+            "{} about as good as this one (alternatives), and the standard deviations hold \
              only if this one is right: measure another point, or give --position",
-            found.alternatives.len()
+            counted(found.alternatives.len(), "other pose is", "other poses are")
         ));
     }
     if found.covariance.is_none() {

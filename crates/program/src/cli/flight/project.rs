@@ -11,6 +11,7 @@ use autoref_flight::read::tables::{Angles, CameraRow};
 use serde::{Deserialize, Serialize};
 
 use super::{camera_tables, interior, lists, views};
+use autoref_raster::words::counted;
 
 /// FLIGHT.toml. Paths are taken from the file's folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -288,7 +289,11 @@ pub fn ordered_frames(project: &Project, base: &Path) -> Result<OrderedFrames> {
     let folder = absolute(&base.join(&project.frames.folder))?;
     let names = frames_in(&folder, &project.frames.pattern)?;
     if names.len() < 2 {
-        bail!("{}: {} frames match; two or more are needed", folder.display(), names.len());
+        bail!(
+            "{}: {}; two or more are needed",
+            folder.display(),
+            counted(names.len(), "frame matches", "frames match")
+        );
     }
     let rows = match &project.rough {
         Some(r) => camera_tables::cameras(&base.join(&r.table), r.angles)?,

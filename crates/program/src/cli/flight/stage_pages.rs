@@ -9,6 +9,7 @@ use super::page::{CHECK, CONTROL, STYLE, camera_mark, cells, fixed, name, rows};
 use super::stages::Stage;
 use super::ties::Ties;
 use autoref_raster::markup::escaped;
+use autoref_raster::words::counted;
 
 /// Fewer ties than these make a frame or a pair worth a look.
 const FEW_TIES: u64 = 30;
@@ -62,9 +63,8 @@ pub fn line(stage: Stage, found: &Value) -> String {
     match stage {
         Stage::Interior => format!("{} of {} frames can be used", count("frames"), found["frames_listed"]),
         Stage::Pairs => {
-            let lines = count("lines");
-            let s = if lines == 1 { "" } else { "s" };
-            format!("{lines} flight line{s}, {} pairs to compare", count("pairs"))
+            let lines = counted(count("lines"), "flight line", "flight lines");
+            format!("{lines}, {} to compare", counted(count("pairs"), "pair", "pairs"))
         }
         Stage::Ties => {
             let ties: u64 = rows(found, "pairs").iter().filter_map(|p| p["ties"].as_u64()).sum();
