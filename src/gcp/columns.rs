@@ -5,6 +5,7 @@ use std::path::Path;
 use crate::gcp::angle::{Letter, angle, letter};
 use crate::gcp::csv_list::Row;
 use crate::gcp::marks::{Cell, Marks};
+use crate::gcp::packed::{self, Packed};
 use crate::gcp::raw::{ColumnOrder, RawList, RawPoint, Seen};
 use crate::gcp::text;
 use crate::gcp::titles::{
@@ -40,6 +41,8 @@ pub(super) struct Columns {
     /// A title that stands over two columns, one of which would be taken.
     pub doubled: Option<String>,
     pub geographic: bool,
+    /// How degrees, minutes and seconds are one number, where a title says that they are.
+    pub packed: Option<Packed>,
     pub order: ColumnOrder,
     /// Of easting, northing and height.
     pub marks: Marks,
@@ -137,6 +140,7 @@ fn columns_of(titles: Vec<String>, tidied: &[String], plan: Plan) -> Columns {
         crs: find(&["crs"]),
         crs_name: find(&["cs name"]),
         geographic,
+        packed: [easting, northing].into_iter().filter(|_| geographic).find_map(|at| Packed::of(&titles[at])),
         order,
         titles,
         marks: Marks::default(),
@@ -162,6 +166,7 @@ impl Columns {
             crs: None,
             crs_name: None,
             geographic: false,
+            packed: None,
             order: ColumnOrder::Untitled,
             marks: Marks::default(),
         }
@@ -264,7 +269,31 @@ impl Columns {
 
     /// The number in a cell of a coordinate.
     pub(super) fn number(&self, cell: &str) -> Option<f64> {
-        if self.geographic { angle(cell) } else { self.marks.number(cell) }
+        match self.packed {
+            Some(packed) => packed.angle(cell),
+            None if self.geographic => angle(cell),
+            None => self.marks.number(cell),
+        }
+    }
+
+    /// How angles were taken, where a title or the values let think of minutes and seconds in one number.
+    pub(super) fn told_of_angles(&self, rows: &[Row<'_>]) -> Option<String> {
+        let [longitude, latitude] =
+            [self.easting, self.northing].map(|at| self.titles.get(at).map_or("", |t| t.trim()));
+        if let Some(packed) = self.packed {
+            return Some(format!(
+                "`{longitude}` and `{latitude}` were taken as degrees, minutes and seconds in one number, {}",
+                packed.written()
+            ));
+        }
+        let columns = [self.easting, self.northing];
+        let texts = rows.iter().flat_map(|(_, cells)| columns.into_iter().filter_map(|at| cells.get(at)));
+        (self.geographic && packed::could_be_packed(texts.map(String::as_str))).then(|| {
+            format!(
+                "`{longitude}` and `{latitude}` were taken as decimal degrees; if they are degrees, minutes and seconds in \
+                 one number, say so in the title: `{longitude} (DDD.MMSS)`"
+            )
+        })
     }
 
     /// What the titles say of all points.
@@ -313,6 +342,10 @@ impl Columns {
         let text = |column: usize| fields.get(column).map(|t| t.trim()).filter(|t| !t.is_empty());
         let no_number = |text: &str, what: &str| {
             let remedy = match angle(text) {
+                Some(_) if self.packed.is_some() => {
+                    "its title says degrees, minutes and seconds in one number, and minutes and seconds end at 59: \
+                     correct the value or the title"
+                }
                 Some(_) if what != "height" => "it is an angle: call the columns `lon` and `lat`",
                 _ if text::number(text.trim_end_matches(char::is_alphabetic)).is_some() => {
                     "write the unit into the title, as in `Height (m)`"

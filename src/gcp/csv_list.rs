@@ -130,8 +130,9 @@ fn with_columns(
     list.open_mark = columns.open_mark(&rows);
     let skipped = lines[..at].iter().find(|line| !line.is_comment());
     let above = skipped.map(|line| format!("row {} and what is above the header was passed over", line.row));
-    let notes =
-        [of_units, of_marks, guessed, statistics.doubt, of_system, columns.unclear(), above].into_iter().flatten();
+    let of_angles = columns.told_of_angles(&rows);
+    let notes = [of_units, of_marks, of_angles, guessed, statistics.doubt, of_system, columns.unclear(), above];
+    let notes = notes.into_iter().flatten();
     list.notes.extend(notes.map(|what| format!("{}: {what}", path.display())));
     list.set_aside = statistics.aside.map(|what| format!("{}: {what}", path.display()));
     Ok(list)

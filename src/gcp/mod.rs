@@ -29,6 +29,7 @@ mod marks;
 pub mod odm;
 mod ogr;
 mod order;
+mod packed;
 mod place;
 mod qgis;
 mod raw;

@@ -1,6 +1,9 @@
 //! What all text formats share: encodings, lines, columns, numbers.
 
 use chardetng::{EncodingDetector, Iso2022JpDetection, Utf8Detection};
+use encoding_rs::{Encoding, WINDOWS_1250, WINDOWS_1252, WINDOWS_1254, WINDOWS_1257};
+
+use crate::gcp::titles;
 
 /// Text of a file: UTF-8 or UTF-16 with or without a byte order mark, else the encoding of a country, told by its
 /// letters, as old survey software and Excel write; line ends of any system. `None` for files that are no text.
@@ -35,6 +38,9 @@ pub(crate) fn decode(bytes: &[u8]) -> Option<String> {
     Some(text.replace("\r\n", "\n").replace('\r', "\n"))
 }
 
+/// Titles stand in the first bytes of a file.
+const HEAD_BYTES: usize = 16_384;
+
 /// Text of one of the encodings with a byte a letter: Windows-1252 (West), 1250 (Middle Europe), 1251 and KOI8
 /// (Cyrillic), …
 fn of_a_country(bytes: &[u8]) -> String {
@@ -42,8 +48,21 @@ fn of_a_country(bytes: &[u8]) -> String {
     detector.feed(bytes, true);
     // SIMA is Japan's, and its few letters alone do not show it.
     let is_sima = bytes.starts_with(b"Z00,") || bytes.windows(5).any(|start| start == b"\nA01,");
-    let encoding = detector.guess(is_sima.then_some(b"jp"), Utf8Detection::Deny);
-    encoding.decode_without_bom_handling(bytes).0.into_owned()
+    let guess = detector.guess(is_sima.then_some(b"jp"), Utf8Detection::Deny);
+    // A letter or two in a line of titles tell little of a language: what makes titles of them tells more. The last of
+    // equals is taken, the guess.
+    let head = &bytes[..bytes.len().min(HEAD_BYTES)];
+    let titles_in = |encoding: &'static Encoding| titles_beyond_ascii(&encoding.decode_without_bom_handling(head).0);
+    let tried = [WINDOWS_1257, WINDOWS_1250, WINDOWS_1254, WINDOWS_1252, guess];
+    let best = tried.into_iter().max_by_key(|encoding| titles_in(encoding)).unwrap_or(guess);
+    best.decode_without_bom_handling(bytes).0.into_owned()
+}
+
+/// How many cells at the top of a list are titles that need letters beyond ASCII.
+fn titles_beyond_ascii(text: &str) -> usize {
+    const HEAD: usize = 40;
+    let cells = text.lines().take(HEAD).flat_map(|line| line.split([';', '\t', ',', '|']));
+    cells.filter(|cell| !cell.is_ascii() && titles::is_known(cell.trim())).count()
 }
 
 /// The text whose bytes in UTF-8 were taken for letters each, as of drawings that do not say their encoding; any other

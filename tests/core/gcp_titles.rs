@@ -387,3 +387,57 @@ fn coordinates_of_no_known_system_come_back_from_a_geopackage() {
         assert!(read.crs.is_none(), "{name}: {:?}", read.crs);
     }
 }
+
+#[test]
+fn a_letter_or_two_of_a_country_are_read_by_the_titles_they_make() {
+    let rows = rows([0, 1, 2, 3]);
+    for (encoding, titles) in [
+        (encoding_rs::WINDOWS_1252, "Navn;Ø;N;H"),
+        (encoding_rs::WINDOWS_1252, "Navn;\"Ø\";\"N\";\"H\""),
+        (encoding_rs::WINDOWS_1252, "Punkt;Øst;Nord;Høyde"),
+        (encoding_rs::WINDOWS_1254, "NOKTA ADI;SAĞA DEĞER (Y);YUKARI DEĞER (X);KOT"),
+        (encoding_rs::WINDOWS_1254, "Nokta No;Y (sağa);X (yukarı);Yükseklik"),
+        (encoding_rs::WINDOWS_1250, "Číslo bodu;Východ;Sever;Výška"),
+        (encoding_rs::WINDOWS_1257, "Nosaukums;Austrumi;Ziemeļi;Augstums"),
+    ] {
+        let text = format!("{titles}\n{rows}");
+        let (bytes, _, lossy) = encoding.encode(&text);
+        assert!(!lossy, "{titles}");
+        let options = GcpOptions { crs: Some("local".into()), ..GcpOptions::default() };
+        let list = Folder::new().read("l.csv", bytes, &options).unwrap_or_else(|e| panic!("{titles}: {e}"));
+        assert_eq!(names(&list), ["101", "102", "103"], "{titles}");
+        assert_eq!((list.gcps[0].easting, list.gcps[0].height), (569_834.26, Some(47.2)), "{titles}");
+    }
+}
+
+#[test]
+fn degrees_minutes_and_seconds_in_one_number_are_read_under_titles_that_say_so() {
+    let rows = "A;10.234255;63.2548;47.2\nB;10.2412;63.2559;43.9\nC;10.2301;63.2533;46.6\n";
+    let seconds = "A;102342.55;632548;47.2\nB;102412;632559;43.9\nC;102301;632533;46.6\n";
+    for (titles, rows) in [
+        ("Nr;Lon (DDD.MMSS);Lat (DDD.MMSS);H", rows),
+        ("Nr;Longitude (D.MS);Latitude;H", rows),
+        ("Nr;Lon [DDDMMSS.ss];Lat [DDMMSS.ss];H", seconds),
+    ] {
+        let said = read_in(None, &format!("{titles}\n{rows}"));
+        let degrees = read_in(
+            None,
+            "Nr;Lon;Lat;H\nA;10°23'42.55\";63°25'48\";47.2\nB;10°24'12\";63°25'59\";43.9\nC;10°23'1\";63°25'33\";46.6\n",
+        );
+        let (list, degrees) = (said.expect(titles), degrees.expect("angles"));
+        says(&list, "degrees, minutes and seconds in one number");
+        for (a, b) in list.gcps.iter().zip(&degrees.gcps) {
+            let off = (a.easting - b.easting).hypot(a.northing - b.northing);
+            assert!(off < 1e-6, "{titles}: {} lies {off} off", a.name);
+        }
+    }
+    let wrong =
+        read_in(None, "Nr;Lon (DDD.MMSS);Lat (DDD.MMSS)\nA;10.2342;63.2560\nB;10.2412;63.2559\nC;10.2301;63.2533\n");
+    assert!(wrong.is_err_and(|e| e.contains("`63.2560`") && e.contains("end at 59")));
+    // Without such titles they are what they were, and ten that could be such numbers are spoken of.
+    let many: String = (0..5).map(|i| format!("{i};10.23{:02}55;63.2{i}48\n", 11 * i)).collect();
+    let list = read_in(None, &format!("Nr;Lon;Lat\n{many}")).expect("degrees");
+    says(&list, "`Lon` and `Lat` were taken as decimal degrees");
+    let few = read_in(None, "Nr;Lon;Lat\nA;10.2342;63.2548\nB;10.2412;63.2559\nC;10.2301;63.2533\n").expect("degrees");
+    assert!(!few.notes.iter().any(|note| note.contains("decimal degrees")), "{:?}", few.notes);
+}

@@ -112,7 +112,7 @@ fn what_is_lost_is_named_and_what_is_not_is_not() {
         assert_eq!(to(&source, &named(folder.path(), "n", format), format, None).lost, Vec::<String>::new());
     }
     let kof = to(&source, &folder.path().join("l.kof"), ListFormat::Kof, None).lost;
-    for what in ["sigma_m of 4 points", "sigma_height_m of 4 points", "role (check point) of 1 points"] {
+    for what in ["sigma_m of 4 points", "sigma_height_m of 4 points", "role (check point) of 1 point"] {
         assert!(kof.iter().any(|l| l == what), "{what}: {kof:?}");
     }
     assert!(kof.iter().any(|l| l.starts_with("crs EPSG:25832")), "{kof:?}");
@@ -183,7 +183,7 @@ fn pixels_of_several_images_come_back() {
     let kof = to(&markers, &folder.path().join("a.kof"), ListFormat::Kof, None).lost;
     assert!(kof.iter().any(|l| l == "pixels of 2 points"), "{kof:?}");
     let qgis = to(&list, &folder.path().join("a.points"), ListFormat::Qgis, None).lost;
-    assert!(qgis.iter().any(|l| l == "pixels in further images of 1 points"), "{qgis:?}");
+    assert!(qgis.iter().any(|l| l == "pixels in further images of 1 point"), "{qgis:?}");
 }
 
 #[test]

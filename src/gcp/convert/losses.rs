@@ -4,10 +4,12 @@ use std::path::Path;
 
 use super::{ListFormat, Survey, names};
 use crate::gcp::odm::CHECK_PREFIX;
+use crate::gcp::packed::Packed;
 use crate::gcp::raw::RawPoint;
 use crate::gcp::{Gcp, GcpRole, angle, heights, text, titles};
 use autoref_raster::cells::without_apostrophe;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::words::counted;
 
 /// Letters of a name in KOF's columns.
 pub(super) const KOF_NAME: usize = 10;
@@ -53,7 +55,7 @@ pub(super) fn of(survey: &Survey, format: ListFormat) -> Vec<String> {
     let mut say = |kept: bool, what: &str, has: &dyn Fn(&RawPoint) -> bool| {
         let points = survey.points.iter().filter(|p| has(p)).count();
         if !kept && points > 0 {
-            lost.push(format!("{what} of {points} points"));
+            lost.push(format!("{what} of {}", counted(points, "point", "points")));
         }
     };
     say(holds.height, "height", &|p| p.gcp.height.is_some());
@@ -119,6 +121,7 @@ pub(super) fn extra(point: &RawPoint) -> impl Iterator<Item = &(String, String)>
         let is_one_of = |number: Option<f64>| number.is_some() && values.contains(&number);
         let is_value = || {
             is_one_of(angle::angle(value))
+                || is_one_of(Packed::of(title).and_then(|packed| packed.angle(value)))
                 || is_one_of(text::number(value))
                 || is_one_of(text::number(&value.replace(['.', ','], "")))
                 || heights::stands_for_none(value)
@@ -140,7 +143,7 @@ fn kof(survey: &Survey) -> Vec<String> {
     let mut lost = Vec::new();
     let long = survey.gcps().filter(|g| g.name.chars().count() > KOF_NAME).count();
     if long > 0 {
-        lost.push(format!("letters beyond the {KOF_NAME}th of {long} names"));
+        lost.push(format!("letters beyond the {KOF_NAME}th of {}", counted(long, "name", "names")));
     }
     let mut worst: f64 = 0.0;
     for gcp in survey.gcps() {

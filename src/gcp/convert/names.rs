@@ -5,6 +5,7 @@ use std::borrow::Cow;
 use super::{ListFormat, Survey};
 use crate::gcp::{Gcp, text};
 use autoref_raster::cells::no_formula;
+use autoref_raster::words::counted;
 
 /// Bytes of a text in the table of a Shapefile.
 const SHAPEFILE_BYTES: usize = 254;
@@ -48,7 +49,7 @@ pub(super) fn lost(survey: &Survey, format: ListFormat) -> Vec<String> {
     let mut lost = Vec::new();
     let mut say = |names: usize, what: &str| {
         if names > 0 {
-            lost.push(format!("{what} {names} names"));
+            lost.push(format!("{what} {}", counted(names, "name", "names")));
         }
     };
     say(count(&|gcp| held(format, &gcp.name) != gcp.name), "letters (line ends, tabs and the like) of");
