@@ -186,10 +186,11 @@ fn details(result: &RunResult) -> serde_json::Value {
 
 const MARKUP: &str = include_str!("page/page.html");
 const STYLE: &str = include_str!("page/page.css");
-const SCRIPTS: [&str; 5] = [
+const SCRIPTS: [&str; 6] = [
     include_str!("page/solve.js"),
     include_str!("page/planar.js"),
     include_str!("page/plots.js"),
+    include_str!("page/sketch.js"),
     include_str!("page/review.js"),
     include_str!("page/page.js"),
 ];

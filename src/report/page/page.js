@@ -1,6 +1,6 @@
 // The page itself: state, drawing of all parts, and the keyboard.
 (() => {
-  const { svg, html, metres, ground, pixels, short, nice, rounded, brief } = Draw;
+  const { svg, html, metres, ground, pixels, fixed, superscript, grouped, nice, rounded, brief } = Draw;
   const D = JSON.parse(document.getElementById("data").textContent);
   const byId = (id) => document.getElementById(id);
   const replace = (id, ...children) => byId(id).replaceChildren(...children.filter((c) => c !== null && c !== undefined));
@@ -30,9 +30,6 @@
   // What the symbol on the overview is.
   const symbolOf = (s) => ({ rejected: "not-found", "not-visible": "not-found", unknown: null }[s] === undefined ? s
     : { rejected: "not-found", "not-visible": "not-found", unknown: null }[s]);
-  function superscript(n) {
-    return String(n).replace(/[-0-9]/g, (c) => (c === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(c)]));
-  }
   function chance(log10) {
     if (log10 === null) return "–";
     if (log10 > -2) return `${Number(Math.pow(10, log10).toPrecision(2))} expected`;
@@ -69,7 +66,7 @@
       if (MODEL) add(`Transform: ${MODEL === "affine" && !state.chosen ? "similarity" : MODEL}`, state.chosen ? ground(state.chosen.rmse) : MODEL === "7-parameter" ? ground(D.chosen_model.rmse_m) : "–",
         state.chosen ? `RMSE; similarity ${ground(s.rmse)}` : MODEL === "7-parameter" ? "RMSE in space, of the run" : `the points do not determine the ${MODEL} transform`);
       if (state.checks) add("RMSE of check points", ground(state.checkRmse), count(state.checks, "point kept out of the fit", "points kept out of the fit"));
-      add("Pixel on the ground", `${(s.scale * 100).toFixed(3)} cm`, `rotation ${s.rotation.toFixed(4)}° from east`);
+      add("Pixel on the ground", `${(s.scale * 100).toFixed(3)} cm`, `turned ${Math.abs(s.rotation).toFixed(4)}° ${s.rotation < -5e-5 ? "clockwise" : "anticlockwise"} from east`);
     }
     if (D.log10_false_alarms !== null) add("False alarms", chance(D.log10_false_alarms), D.status === "solved"
       ? "that so many marks agree without being the points" : "such patterns in this image by chance alone");
@@ -87,90 +84,58 @@
     if (D.warnings.length) replace("warnings", html("ul", { class: "warnings", "aria-label": "Warnings" }, ...D.warnings.map((w) => html("li", {}, w))));
   }
 
-  // ---- overview and expected error share a frame
-  function frame(pad) {
-    const W = D.overview.width, H = D.overview.height, f = W / D.image.width;
-    // Units of the drawing are pixels of the overview; `u` of them are about one on the screen.
-    const u = 1 / Math.min(1136 / (W + 2 * pad), 980 / (H + 2 * pad));
-    const box = svg("svg", { viewBox: `${-pad} ${-pad} ${W + 2 * pad} ${H + 2 * pad}`, role: "img" });
-    box.append(svg("image", { href: D.overview.src, width: W, height: H, style: "filter:saturate(.55) brightness(1.12) contrast(.9)" }));
-    return { box, f, u, W, H };
-  }
-  // A vector on the map, metres, as one in the drawing.
-  function onImage(s, e, n, f) {
-    const q = s.a_re * s.a_re + s.a_im * s.a_im;
-    return [(s.mirrored ? -1 : 1) * (s.a_re * e + s.a_im * n) / q * f, -(s.a_re * n - s.a_im * e) / q * f];
-  }
-  function bar(x, y, width, text, u) {
-    const d = `M${x} ${y - 4 * u} V${y} H${x + width} V${y - 4 * u}`;
-    return svg("g", {}, svg("path", { d, fill: "none", stroke: "#fff", "stroke-width": 4.5 * u }), svg("path", { d, fill: "none", stroke: "#1b2530", "stroke-width": 1.6 * u }),
-      svg("text", { class: "halo", x, y: y - 8 * u, "font-size": 12 * u, style: `stroke-width:${3 * u}px` }, text));
-  }
-  function furniture(box, s, f, u, W, H) {
-    const scale = Math.sqrt(s.a_re * s.a_re + s.a_im * s.a_im) / f;
-    const length = nice(160 * u * scale);
-    box.append(bar(14 * u, H - 14 * u, length / scale, rounded(length), u));
-    const [x, y] = onImage(s, 0, 1, 1), l = Math.hypot(x, y), nx = x / l, ny = y / l, cx = W - 30 * u, cy = 36 * u, r = 20 * u;
-    const tip = [cx + nx * r, cy + ny * r], side = [-ny * 6 * u, nx * 6 * u], foot = [cx - nx * r * 0.6, cy - ny * r * 0.6];
-    box.append(svg("path", { d: `M${tip} L${foot[0] + side[0]} ${foot[1] + side[1]} L${cx - nx * r * 0.25} ${cy - ny * r * 0.25} L${foot[0] - side[0]} ${foot[1] - side[1]} Z`,
-      fill: "#1b2530", stroke: "#fff", "stroke-width": 1.6 * u }),
-    svg("text", { class: "halo", x: tip[0] + nx * 9 * u, y: tip[1] + ny * 9 * u + 4 * u, "text-anchor": "middle", "font-size": 12 * u, style: `stroke-width:${3 * u}px` }, "N"));
-    return scale;
-  }
-
-  // Finds each name a place beside its symbol where no other name or symbol stands; null when there is none: the table has all.
-  function labelPlaces(W, H, u, pad) {
-    const taken = D.points.map((p, i) => held[i] && held[i].mark).filter(Boolean)
-      .map((m) => [m.x * W / D.image.width - 7 * u, m.y * W / D.image.width - 7 * u, 14 * u, 14 * u]);
-    return (x, y, name) => {
-      const w = 7.2 * name.length * u, h = 13 * u;
-      for (const [dx, dy, anchor] of [[10, -7, "start"], [-10, -7, "end"], [10, 16, "start"], [-10, 16, "end"], [0, -12, "middle"], [0, 22, "middle"]]) {
-        const left = x + dx * u - (anchor === "end" ? w : anchor === "middle" ? w / 2 : 0), top = y + dy * u - 0.8 * h;
-        const fits = left >= -pad && left + w <= W + pad && top >= -pad && top + h <= H + pad;
-        if (fits && taken.every(([l, t, tw, th]) => left + w <= l || left >= l + tw || top + h <= t || top >= t + th)) {
-          taken.push([left, top, w, h]);
-          return { x: x + dx * u, y: y + dy * u, anchor };
-        }
-      }
-      return null;
-    };
+  // ---- overview and expected error
+  // Drawings have letters of one size whatever their own; on paper they are as wide as a page.
+  let onPaper = false;
+  const shownSize = () => (onPaper ? [700, 397] : [byId("overview").clientWidth || 1136, 980]);
+  // Where a point stands in the image: its mark, or where the transform has it; null without either.
+  function placeOf(p, i, s) {
+    const kind = symbolOf(stateOf(i)), h = held[i];
+    if (!kind) return null;
+    if (h && h.used) return [h.mark.x, h.mark.y];
+    return kind === "proposed" && p.mark ? [p.mark.x, p.mark.y] : s ? Fit.invert(s, p.easting, p.northing) : null;
   }
 
   let showCandidates = false;
   function overview() {
     const anyOutside = D.points.some((p) => p.state === "outside"), s = transform();
-    const { box, f, u, W, H } = frame(anyOutside ? 26 : 0);
+    const drawing = Sketch.frame(D.overview, shownSize(), anyOutside, Boolean(s)), { box, u, W, H } = drawing, f = W / D.image.width;
     box.setAttribute("aria-label", `The image with ${count(D.points.length, "point", "points")} and residual vectors.`);
     if (showCandidates) {
       for (const [x, y] of D.candidates.dots) box.append(svg("circle", { class: "candidate", cx: x * f, cy: y * f, r: 2.6 * u, fill: "none", stroke: "#fff", "stroke-width": 1.2 * u }));
     }
-    const scale = s ? furniture(box, s, f, u, W, H) : null;
+    const places = D.points.map((p, i) => placeOf(p, i, s)), symbols = places.filter(Boolean).map(([x, y]) => [x * f, y * f]);
+    const lengths = [], taken = [];
     const longest = Math.max(...state.rows.map((r) => (r ? r.length : 0)), 0);
     let enlarged = null;
-    if (s && longest > 0) {
-      // The longest is legible, and the others still are when one is far longer. Residuals below a pixel have shorter arrows
-      // than a bad fit.
-      const lengths = state.rows.filter((r) => r).map((r) => r.length).sort((a, b) => a - b);
-      const middle = Math.max(lengths[Math.floor(lengths.length / 2)], 1e-9);
-      const alarm = Math.min(Math.max(longest / (scale * f), 0.35), 1);
-      const perMetre = alarm * Math.min(150 / longest, Math.max(58 / longest, 20 / middle)) * u, unit = nice(Math.min(longest, 70 * u / perMetre));
-      enlarged = perMetre * scale;
-      box.append(bar(14 * u, H - 48 * u, unit * perMetre, `residual ${rounded(unit)}`, u));
+    if (s) {
+      const scale = Math.sqrt(s.a_re * s.a_re + s.a_im * s.a_im) / f;
+      lengths.push(Sketch.ruler(u, scale));
+      taken.push(Sketch.north(drawing, s, symbols));
+      if (longest > 0) {
+        // The longest is legible, and the others still are when one is far longer. Residuals below a pixel have shorter
+        // arrows than a bad fit.
+        const sorted = state.rows.filter((r) => r).map((r) => r.length).sort((a, b) => a - b);
+        const middle = Math.max(sorted[Math.floor(sorted.length / 2)], 1e-9);
+        const alarm = Math.min(Math.max(longest / (scale * f), 0.35), 1);
+        const perMetre = alarm * Math.min(150 / longest, Math.max(58 / longest, 20 / middle)) * u, unit = nice(Math.min(longest, 70 * u / perMetre));
+        enlarged = perMetre * scale;
+        lengths.push([unit * perMetre, `arrows: ${rounded(unit)}`]);
+      }
+      Sketch.bars(drawing, lengths);
     }
-    const labels = svg("g", {}), names = labelPlaces(W, H, u, anyOutside ? 26 : 0);
+    const labels = svg("g", {}), names = Sketch.labelPlaces(drawing, symbols, taken);
     D.points.forEach((p, i) => {
-      const kind = symbolOf(stateOf(i)), h = held[i];
-      const at = h && h.used ? [h.mark.x, h.mark.y] : kind === "proposed" && p.mark ? [p.mark.x, p.mark.y]
-        : s ? Fit.invert(s, p.easting, p.northing) : null;
-      if (!at || !kind) return;
+      const kind = symbolOf(stateOf(i)), at = places[i];
+      if (!at) return;
       let x = at[0] * f, y = at[1] * f;
       if (kind === "outside") {
-        x = Math.min(Math.max(x, -16), W + 16);
-        y = Math.min(Math.max(y, -16), H + 16);
+        x = Math.min(Math.max(x, -16 * u), W + 16 * u);
+        y = Math.min(Math.max(y, -16 * u), H + 16 * u);
       }
       const row = state.rows[i];
       if (row && enlarged) {
-        const [dx, dy] = onImage(s, row.e, row.n, f).map((v) => v * enlarged);
+        const [dx, dy] = Sketch.onImage(s, row.e, row.n, f).map((v) => v * enlarged);
         const line = (colour, w) => svg("line", { class: "vector", x1: x, y1: y, x2: x + dx, y2: y + dy, stroke: colour, "stroke-width": w * u, "stroke-linecap": "round" });
         box.append(line("#fff", 5), line(p.role === "check" ? "#6a3fa0" : row.outlier ? "#ae2a1f" : "#b3480a", 2.4));
       }
@@ -189,7 +154,8 @@
     toggle.checked = showCandidates;
     toggle.addEventListener("change", () => { showCandidates = toggle.checked; overview(); byId("dots").focus(); });
     const legend = html("div", { class: "legend" }, ...Object.keys(words).filter((k) => kinds.has(k)).map((k) => Draw.legendItem(k, words[k])),
-      enlarged ? html("span", {}, `Vectors point from the mark to the surveyed position, enlarged ${short(Math.round(enlarged))} times.`) : null,
+      enlarged ? html("span", {}, `Arrows point from the mark to the surveyed place, enlarged ${grouped(Number(enlarged.toPrecision(3)))} times; the bar below the picture shows their scale.`) : null,
+      !state.solution && s ? html("span", {}, "No fit was believed: points stand where the likeliest one would have them.") : null,
       html("label", { class: "noprint" }, toggle, ` all ${D.candidates.total} candidates`));
     byId("overview-figure").setAttribute("aria-label", "Overview of the image");
     replace("overview-figure", box, legend);
@@ -204,7 +170,8 @@
       byId("expected-figure").replaceChildren();
       return;
     }
-    const { box, f, u, W, H } = frame(0), c = state.solution.centre, cx = c.x * f, cy = c.y * f;
+    const drawing = Sketch.frame(D.overview, shownSize(), false, true), { box, u, W, H } = drawing, f = W / D.image.width;
+    const c = state.solution.centre, cx = c.x * f, cy = c.y * f;
     const corners = [[0, 0], [W, 0], [W, H], [0, H]].map(([x, y]) => Math.hypot(x - cx, y - cy));
     const far = Math.max(...corners), inside = cx >= 0 && cy >= 0 && cx <= W && cy <= H;
     const nearest = inside ? 0 : Math.hypot(cx - Math.min(Math.max(cx, 0), W), cy - Math.min(Math.max(cy, 0), H));
@@ -240,7 +207,9 @@
     D.points.forEach((p, i) => {
       if (held[i] && held[i].used && p.role === "control") box.append(Draw.symbol("found", 5 * u, held[i].mark.x * f, held[i].mark.y * f));
     });
-    furniture(box, state.solution.similarity, f, u, W, H);
+    const s = state.solution.similarity, used = D.points.map((p, i) => (held[i] && held[i].used ? held[i].mark : null)).filter(Boolean);
+    Sketch.bars(drawing, [Sketch.ruler(u, Math.sqrt(s.a_re * s.a_re + s.a_im * s.a_im) / f)]);
+    Sketch.north(drawing, s, used.map((m) => [m.x * f, m.y * f]));
     byId("expected-figure").setAttribute("aria-label", "Map of the expected error");
     box.setAttribute("aria-label", `Expected error over the image, from ${ground(low)} to ${ground(high)}.`);
     const scaleBar = svg("svg", { viewBox: "0 0 160 12", style: "width:160px;height:12px", "aria-hidden": "true" });
@@ -290,7 +259,7 @@
     const rows = D.points.map((p, i) => i);
     // One unit for the whole table: millimetres while all residuals are below a metre.
     const small = state.rows.every((r) => !r || r.length < 1), unit = small ? "mm" : "m";
-    const inUnit = (v) => (small && v !== null && v !== undefined ? (1000 * v).toFixed(1) : metres(v));
+    const inUnit = (v) => (small && v !== null && v !== undefined ? fixed(1000 * v, 1) : metres(v));
     if (sortKey !== null) {
       const value = columns[sortKey][2], sign = descending ? -1 : 1;
       rows.sort((a, b) => {
@@ -318,7 +287,7 @@
     });
     replace("points-table", html("table", { "aria-label": "All points" }, html("thead", {}, html("tr", {}, ...headers)), html("tbody", {}, ...body)));
     byId("points-note").textContent = state.solution
-      ? "Residuals are surveyed − computed. “Left out” is the error of the point when the fit is made without it; “detectable” is the smallest error of the point that a test would notice (Baarda, 0.1 % and 80 %). Choose a heading to sort."
+      ? "Residuals are surveyed − computed. “Left out” is the error of the point when the fit is made without it; “detectable” is the smallest error of the point that a test would notice (Baarda, 0.1 % and 80 %); “score” says how sure a mark is one: 0 is even odds, 5 is 150 to 1. Choose a heading to sort."
       : "No transform was accepted, so there are no residuals. Choose a heading to sort.";
   }
 
@@ -392,7 +361,7 @@
       html("span", { class: "line" }, `${m.x.toFixed(1)}, ${m.y.toFixed(1)}`))));
     replace("cards", ...items, ...gallery);
     byId("marks-note").textContent = order.length
-      ? "Each window shows the mark with the shape that was fitted to it; yellow crosses are other candidates, blue ones the place that follows from the fit. What is changed here changes the whole page at once."
+      ? `Each window shows the mark with the shape that was fitted to it; yellow crosses are other candidates, blue ones the place where the ${state.solution ? "fit" : "likeliest pattern, which was not believed,"} has the point. What is changed here changes the whole page at once.`
       : gallery.length ? "No pattern was found. These candidates look most like marks; if they are none, the profile does not fit the paint."
         : "There is no mark to show.";
     byId("editor").hidden = !order.length;
@@ -594,7 +563,7 @@
     const t = d.timings, o = d.options || {}, plan = d.memory_plan, reading = d.reading;
     const what = list([["Program", D.program], ["Image", D.image.path], ["Points", D.gcp_file], ["CRS", D.crs], ["Profile", o.profile], ["Reader", d.reader],
       ["Candidates", String(d.candidates_found)],
-      ["Hypotheses tried", d.search ? `${d.search.hypotheses_tried} of ${Number(d.search.hypotheses_possible).toPrecision(3)} possible` : null],
+      ["Hypotheses tried", d.search ? `${grouped(d.search.hypotheses_tried)} of ${grouped(Number(Number(d.search.hypotheses_possible).toPrecision(3)))} possible` : null],
       ["Runner-up", d.runner_up ? `${count(d.runner_up[0], "point", "points")}, false alarms ${chance(d.runner_up[1])}` : "none"],
       ["Earlier georeference", d.moved_m !== null && d.moved_m !== undefined ? `${typeof d.corner_moved_m === "number" ? `its corners move by up to ${ground(d.corner_moved_m)}, ` : ""}its centre moves by ${ground(d.moved_m)}` : null],
       ["Written", d.files_written.join(", ")]]);
@@ -610,6 +579,15 @@
     byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing. Changes made in it are saved as a patch, which autoref-stream solve ${D.source} --patch FILE replays.`;
   }
 
+  // Drawings again in the width that they have now.
+  const redraw = () => { overview(); expected(); };
+  let drawn = 0;
+  new ResizeObserver(() => {
+    const [width] = shownSize();
+    if (width !== drawn) redraw();
+    drawn = width;
+  }).observe(byId("overview"));
+  for (const [when, paper] of [["beforeprint", true], ["afterprint", false]]) window.addEventListener(when, () => { onPaper = paper; redraw(); });
   warnings();
   sections();
   details();

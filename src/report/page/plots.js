@@ -14,13 +14,17 @@ const Draw = (() => {
   const html = (tag, attributes, ...children) => fill(document.createElement(tag), attributes, children);
 
   const metres = (v) => (v === null || v === undefined ? "–" : (Math.abs(v) >= 100 ? v.toFixed(1) : (Math.abs(v) < 0.0005 ? 0 : v).toFixed(3)));
+  // So many decimals, without a sign before zero.
+  const fixed = (v, n) => v.toFixed(n).replace(/^-(0\.?0*)$/, "$1");
+  const superscript = (n) => String(n).replace(/[-0-9]/g, (c) => (c === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(c)]));
+  // A count in groups of three digits; what is too large to be read so in powers of ten.
+  const grouped = (v) => (v < 1e9 ? Math.round(v).toLocaleString("en") : v.toExponential(1).replace(/e\+?(-?\d+)$/, (_, n) => ` × 10${superscript(n)}`));
   // A length on the ground with its unit: millimetres below a metre.
   function ground(v) {
     if (v === null || v === undefined) return "–";
-    return Math.abs(v) < 1 ? `${(1000 * v).toFixed(Math.abs(v) < 0.1 ? 1 : 0)} mm` : `${metres(v)} m`;
+    return Math.abs(v) < 1 ? `${fixed(1000 * v, Math.abs(v) < 0.1 ? 1 : 0)} mm` : `${metres(v)} m`;
   }
   const pixels = (v) => (v === null || v === undefined ? "–" : v.toFixed(2));
-  const short = (v) => (v >= 1 ? String(Number(v.toPrecision(3))) : String(Number(v.toPrecision(2))));
 
   // The largest of 1, 2, 5 times a power of ten that is not above v.
   function nice(v) {
@@ -242,5 +246,5 @@ const Draw = (() => {
     });
   }
 
-  return { heights, svg, html, metres, ground, pixels, short, nice, label, rounded, brief, symbol, legendItem, vectors, histogram, distance, quantiles };
+  return { heights, svg, html, metres, ground, pixels, fixed, superscript, grouped, nice, label, rounded, brief, symbol, legendItem, vectors, histogram, distance, quantiles };
 })();

@@ -100,6 +100,24 @@ impl Browser {
         decoded(answer["data"].as_str().expect("a picture"))
     }
 
+    /// Makes the window so wide, in pixels.
+    pub fn widen(&mut self, width: u32) {
+        let size = json!({"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": false});
+        self.call("Emulation.setDeviceMetricsOverride", size);
+        // What watches for its size is told with the next frame.
+        let frames = json!({"expression": "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))",
+            "awaitPromise": true});
+        self.call("Runtime.evaluate", frames);
+    }
+
+    /// Clicks in the window, pixels from its corner.
+    pub fn click(&mut self, x: f64, y: f64) {
+        for kind in ["mousePressed", "mouseReleased"] {
+            let at = json!({"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1});
+            self.call("Input.dispatchMouseEvent", at);
+        }
+    }
+
     /// What the window shows, as JPEG.
     pub fn view(&mut self) -> Vec<u8> {
         let answer = self.call("Page.captureScreenshot", json!({"format": "jpeg", "quality": 70}));

@@ -4,6 +4,7 @@
 mod page;
 mod patches;
 mod review;
+mod widths;
 
 use std::path::PathBuf;
 use std::process::{Command, Output};
