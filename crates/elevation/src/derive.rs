@@ -11,7 +11,7 @@ use std::os::unix::ffi::OsStrExt;
 
 use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags};
 
-use autoref_raster::{Written, failed_to_write};
+use autoref_raster::{Written, failed_to_write, is_cut_table};
 
 use crate::error::{Error, Result};
 use crate::row_cache::{self, RowCache, Use};
@@ -221,6 +221,9 @@ fn last_error() -> String {
     if text.is_empty() { "it gives no reason".into() } else { text }
 }
 
+/// The driver whose lines have a table in a file of its own.
+const SHAPEFILE: &str = "ESRI Shapefile";
+
 /// The driver of a file of lines, by its extension.
 ///
 /// # Errors
@@ -230,7 +233,7 @@ pub fn line_driver(out: &Path) -> Result<&'static str> {
     match extension.as_str() {
         "gpkg" => Ok("GPKG"),
         "json" | "geojson" => Ok("GeoJSON"),
-        "shp" => Ok("ESRI Shapefile"),
+        "shp" => Ok(SHAPEFILE),
         other => Err(Error::usage(
             format!("{}: no format of lines is called `{other}`", out.display()),
             "name it .gpkg, .geojson or .shp",
@@ -298,6 +301,9 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64, memory_budget
     let flushed = dataset.flush_cache();
     watch.close(dataset)?;
     flushed.map_err(failed)?;
+    if line_driver(out)? == SHAPEFILE && is_cut_table(&out.with_extension("dbf")) {
+        return Err(failed_to_write(out, "the table beside it could not be written whole; is the disk full?"));
+    }
     // Some drivers cannot count while they write.
     let options = DatasetOptions { open_flags: GdalOpenFlags::GDAL_OF_VECTOR, ..Default::default() };
     let written = Dataset::open_ex(out, options).map_err(failed)?;

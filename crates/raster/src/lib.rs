@@ -67,7 +67,7 @@ pub use open::{open, open_dataset, size};
 pub use patch::{Pixels, View, read_patch};
 pub use pool::BufferPool;
 pub use white::with_white;
-pub use written::{Written, failed_to_write, free_disk_bytes, unheard};
+pub use written::{Written, failed_to_write, free_disk_bytes, is_cut_table, unheard};
 
 use std::path::PathBuf;
 use std::sync::Arc;

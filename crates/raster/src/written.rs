@@ -93,9 +93,45 @@ pub fn failed_to_write(path: &Path, said: &str) -> Error {
     }
 }
 
+/// Whether a dBase table has fewer bytes than its head counts, or none that can be read: GDAL says nothing of one that
+/// it could not write whole.
+pub fn is_cut_table(table: &Path) -> bool {
+    use std::io::Read;
+    const LEAST_HEAD: u64 = 33;
+    let mut start = [0; 12];
+    let head = std::fs::File::open(table).and_then(|mut file| {
+        file.read_exact(&mut start)?;
+        file.metadata()
+    });
+    let Ok(metadata) = head else { return true };
+    let [_, _, _, _, r0, r1, r2, r3, h0, h1, l0, l1] = start;
+    let rows = u64::from(u32::from_le_bytes([r0, r1, r2, r3]));
+    let (head, row) = (u64::from(u16::from_le_bytes([h0, h1])), u64::from(u16::from_le_bytes([l0, l1])));
+    // The head is written last, and may have gone with the rest.
+    head < LEAST_HEAD || metadata.len() < head + rows * row
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_table_that_was_cut_is_seen() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("a.dbf");
+        let is_cut = |bytes: &[u8]| {
+            std::fs::write(&file, bytes).expect("written");
+            is_cut_table(&file)
+        };
+        let mut table = vec![3, 126, 11, 28, 2, 0, 0, 0, 65, 0, 10, 0];
+        table.resize(65 + 2 * 10, b' ');
+        assert!(!is_cut(&table));
+        let mut without_head = table.clone();
+        without_head[8..12].fill(0);
+        assert!(is_cut(&without_head));
+        assert!(is_cut(&table[..84]) && is_cut(&table[..5]) && is_cut(&[]));
+        assert!(is_cut_table(&folder.path().join("absent.dbf")));
+    }
 
     #[test]
     fn a_failure_on_the_way_is_not_lost() {

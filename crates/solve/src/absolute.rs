@@ -60,14 +60,17 @@ impl AbsoluteOrientation {
 }
 
 /// Why no orientation was solved.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Undetermined {
     /// Three points are needed.
+    #[error("too few points")]
     TooFewPoints,
     /// The points of one side lie in one place or on one line, so that a rotation about it is unknown; or a coordinate
     /// is not finite.
+    #[error("the points lie in one line or in one place")]
     Degenerate,
     /// The iteration did not settle; closed forms never say this.
+    #[error("the iteration did not settle")]
     NotConverged,
 }
 

@@ -184,11 +184,13 @@ impl Solution {
 }
 
 /// Why no similarity was solved.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unsolvable {
     /// Two different points are needed.
+    #[error("too few points")]
     TooFewPoints,
     /// All marks, or all surveyed points, lie in one place.
+    #[error("the points lie in one line or in one place")]
     Degenerate,
 }
 

@@ -11,6 +11,7 @@ use crate::gcp::{Gcp, GcpRole, working_crs};
 use autoref_raster::atomic::Transaction;
 use autoref_raster::crs::{Accuracy, Coordinate, Crs};
 use autoref_raster::error::{Error, Result};
+use autoref_raster::is_cut_table;
 
 const WGS84: u32 = 4326;
 
@@ -37,23 +38,13 @@ pub(super) fn write(
     made.sort();
     for file in made {
         let bytes = std::fs::read(&file).map_err(|e| Error::io(&file, "read", e))?;
-        if file.extension().is_some_and(|end| end == "dbf") && is_cut_table(&bytes) {
+        if file.extension().is_some_and(|end| end == "dbf") && is_cut_table(&file) {
             return Err(Error::gdal(output, "the table beside it could not be written whole; is the disk full?"));
         }
         let target = output.with_file_name(file.file_name().expect("a file of a folder"));
         transaction.stage_bytes(&target, &bytes)?;
     }
     Ok(lost)
-}
-
-/// Whether a dBase table has fewer bytes than its head counts: GDAL says nothing of one that it could not write whole.
-fn is_cut_table(bytes: &[u8]) -> bool {
-    const LEAST_HEAD: u64 = 33;
-    let [_, _, _, _, r0, r1, r2, r3, h0, h1, l0, l1, ..] = bytes else { return true };
-    let rows = u64::from(u32::from_le_bytes([*r0, *r1, *r2, *r3]));
-    let (head, row) = (u64::from(u16::from_le_bytes([*h0, *h1])), u64::from(u16::from_le_bytes([*l0, *l1])));
-    // The head is written last, and may have gone with the rest.
-    head < LEAST_HEAD || (bytes.len() as u64) < head + rows * row
 }
 
 fn layer(survey: &Survey, format: ListFormat, worst_accuracy_m: f64, path: &Path) -> Result<Vec<String>> {
@@ -179,20 +170,4 @@ fn places(
     };
     lost.push(format!("crs {}: the coordinates were brought into longitude and latitude of WGS 84{how}", crs.title()));
     Ok((places, Some(degrees), lost))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_table_that_was_cut_is_seen() {
-        let mut table = vec![3, 126, 11, 28, 2, 0, 0, 0, 65, 0, 10, 0];
-        table.resize(65 + 2 * 10, b' ');
-        assert!(!is_cut_table(&table));
-        let mut without_head = table.clone();
-        without_head[8..12].fill(0);
-        assert!(is_cut_table(&without_head));
-        assert!(is_cut_table(&table[..84]) && is_cut_table(&table[..5]) && is_cut_table(&[]));
-    }
 }

@@ -226,7 +226,7 @@ fn compare(rows: &[Row]) -> Vec<Value> {
                 value["leave_one_out_rmse_m"] = json!(fit.leave_one_out_rmse_m);
                 value
             }
-            Err(why) => failed(Space::Plane, name, "pixels to metres", &format!("{why:?}")),
+            Err(why) => failed(Space::Plane, name, "pixels to metres", &why.to_string()),
         });
     }
     let full: Vec<&Row> = rows.iter().filter(|r| r.is_full()).collect();
@@ -299,7 +299,7 @@ fn partly(rows: &[Row], model: &dyn Fn(&Row) -> Vector3<f64>) -> Value {
             value["height_only"] = json!(count(Known::Height));
             value
         }
-        Err(why) => failed(Space::Full, "KrausPartial", "metres", &format!("{why:?}")),
+        Err(why) => failed(Space::Full, "KrausPartial", "metres", &why.to_string()),
     }
 }
 
@@ -321,7 +321,7 @@ fn weighted(pairs: &[Pair], names: &[&str]) -> Value {
                 json!(left_out.map(|squares| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()));
             value
         }
-        Err(why) => failed(Space::Plane, "Similarity", "pixels to metres", &format!("{why:?}")),
+        Err(why) => failed(Space::Plane, "Similarity", "pixels to metres", &why.to_string()),
     }
 }
 
@@ -359,7 +359,7 @@ fn entry(space: Space, solver: &str, units: &str, names: &[&str], points: &[Poin
             value["sigma0_m"] = json!(sigma0);
             value
         }
-        Err(why) => failed(space, solver, units, &format!("{why:?}")),
+        Err(why) => failed(space, solver, units, &why.to_string()),
     }
 }
 

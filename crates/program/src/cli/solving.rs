@@ -249,7 +249,7 @@ impl SolvingArgs {
                 enter_model(result, self.describe(&space, sigma0, &names));
             }
             Err(why) => result.warnings.push(format!(
-                "no 7-parameter solution from {} points with heights ({why:?}): the similarity stands alone",
+                "no 7-parameter solution from {} points with heights ({why}): the similarity stands alone",
                 points.len()
             )),
         }
@@ -334,7 +334,7 @@ fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar::Kind) {
         Err(why) => {
             result
                 .warnings
-                .push(format!("{} points do not support this --model ({why:?}); the similarity is used", pairs.len()));
+                .push(format!("{} points do not support this --model ({why}); the similarity is used", pairs.len()));
             return;
         }
     };
@@ -384,7 +384,7 @@ fn planar_solver(result: &mut RunResult, pairs: &[Pair], solver: SolverArg) {
         Err(why) => {
             let few = pairs.len();
             result.warnings.push(format!(
-                "{few} points do not support --solver {} ({why:?}); the similarity is used",
+                "{few} points do not support --solver {} ({why}); the similarity is used",
                 solver.json_name()
             ));
             return;
