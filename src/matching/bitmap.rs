@@ -47,7 +47,7 @@ impl Bitmap {
 
     /// Radii from 8 px up, by 2, as long as chance hits leave something to see.
     pub fn all(field: &Field) -> Vec<Bitmap> {
-        let density = field.points().len() as f64 / field.area_px2();
+        let density = field.density();
         let useful = (WORTHLESS_PROBABILITY * 1.5 / (density * std::f64::consts::PI)).sqrt();
         let mut radius_px = 8.0;
         let mut bitmaps = Vec::new();
@@ -60,7 +60,7 @@ impl Bitmap {
 
     fn new(field: &Field, radius_px: f64) -> Bitmap {
         // As large as needless looks allow; half the radius at least, and no more than 16 million cells.
-        let density = field.points().len() as f64 / field.area_px2();
+        let density = field.density();
         let rare_px = (NEEDLESS_LOOK / density).sqrt() - 2.0 * radius_px;
         let cell_px = rare_px.max(radius_px / 2.0).max((field.area_px2() / 16e6).sqrt());
         let columns = (field.width_px / cell_px + RIM) as usize + 2;

@@ -232,7 +232,7 @@ impl Strip {
         let (row, points) = (&self.row, field.points());
         let members = self.members.get_or_init(|| (0..points.len()).filter(|&i| row.holds(points[i])).collect());
         let seen = members.iter().filter(|&&i| counts(i)).count() as f64;
-        let expected = points.len() as f64 / field.area_px2() * 2.0 * row.half_width_px * row.length_px;
+        let expected = field.density() * 2.0 * row.half_width_px * row.length_px;
         (seen > expected + 6.0 * expected.sqrt() + 6.0).then_some(seen / row.length_px)
     }
 }

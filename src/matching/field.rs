@@ -6,7 +6,9 @@ use autoref_raster::coords::PixelPoint;
 pub struct Field {
     points: Vec<PixelPoint>,
     origin: PixelPoint,
-    cell_px: f64,
+    /// Points per px² of the whole field.
+    density: f64,
+    cells_per_px: f64,
     columns: usize,
     rows: usize,
     /// Start of each cell's indices; one more than there are cells.
@@ -50,10 +52,12 @@ impl Field {
         let cell = (width * height / points.len().max(1) as f64).sqrt().max((width * height / 4e6).sqrt()).max(1.0);
         let cell = cell.max(width.max(height) / 4e6);
         let (columns, rows) = ((width / cell) as usize + 1, (height / cell) as usize + 1);
+        let density = points.len() as f64 / (width * height);
         let mut field = Field {
             points,
             origin: PixelPoint { x: low.0, y: low.1 },
-            cell_px: cell,
+            density,
+            cells_per_px: 1.0 / cell,
             columns,
             rows,
             starts: vec![0; columns * rows + 1],
@@ -123,12 +127,15 @@ impl Field {
         }
     }
 
+    // At most some million cells: a conversion to 32 bits is one instruction, to 64 without sign it is many.
+    #[inline]
     fn column(&self, x: f64) -> usize {
-        (((x - self.origin.x) / self.cell_px).max(0.0) as usize).min(self.columns - 1)
+        (((x - self.origin.x) * self.cells_per_px).max(0.0) as i32 as usize).min(self.columns - 1)
     }
 
+    #[inline]
     fn row(&self, y: f64) -> usize {
-        (((y - self.origin.y) / self.cell_px).max(0.0) as usize).min(self.rows - 1)
+        (((y - self.origin.y) * self.cells_per_px).max(0.0) as i32 as usize).min(self.rows - 1)
     }
 
     fn cell(&self, p: PixelPoint) -> usize {
@@ -151,6 +158,12 @@ impl Field {
 
     pub fn area_px2(&self) -> f64 {
         self.width_px * self.height_px
+    }
+
+    /// Points per px² of the whole field.
+    #[inline]
+    pub fn density(&self) -> f64 {
+        self.density
     }
 
     #[inline]
@@ -228,8 +241,7 @@ impl Field {
     /// function), and for distances at which neighbours are no clumps.
     pub fn company(&self, distance_px: f64) -> Option<f64> {
         let reach = 2.0 * distance_px;
-        let density = self.points.len() as f64 / self.area_px2();
-        let expected = self.sampled as f64 * density * std::f64::consts::PI * reach * reach;
+        let expected = self.sampled as f64 * self.density * std::f64::consts::PI * reach * reach;
         if expected > self.sampled as f64 {
             return None;
         }
@@ -242,7 +254,7 @@ impl Field {
     /// the whole field's. Clutter in clumps and rows makes accidents likelier just there, so the estimate leans to the
     /// dense side. Each disc leaves out one point: the hit whose chance is asked for.
     pub fn density_near(&self, p: PixelPoint) -> f64 {
-        let global = self.points.len() as f64 / self.area_px2();
+        let global = self.density;
         let mut density = global;
         for expected in [16.0, 4.0, 1.0] {
             let radius = (expected / (global * std::f64::consts::PI)).sqrt();

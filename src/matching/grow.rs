@@ -161,7 +161,7 @@ impl Search<'_> {
     }
 
     fn chance_of_hit(&self, radius_px: f64) -> f64 {
-        let density = self.field.points().len() as f64 / self.field.area_px2();
+        let density = self.field.density();
         -(-density * std::f64::consts::PI * radius_px * radius_px).exp_m1()
     }
 

@@ -98,6 +98,13 @@ pub(super) struct Target {
     pub north: f64,
     radius_px: f64,
     pub bitmap: usize,
+    /// How surprising a hit is where candidates lie as densely as in the whole field.
+    surprise: f64,
+}
+
+/// −ln of how often chance puts a candidate within a radius, where so many lie on a px².
+fn surprise(density: f64, radius_px: f64) -> f64 {
+    -(-(-density * (std::f64::consts::PI * radius_px * radius_px)).exp_m1()).ln()
 }
 
 #[derive(Clone, Copy)]
@@ -205,7 +212,7 @@ impl<'a> Search<'a> {
             return None;
         }
         let bitmaps = Bitmap::all(&field);
-        let density = field.points().len() as f64 / field.area_px2();
+        let density = field.density();
         let (least, most) = SEARCH_TOLERANCE_PX;
         let tolerance_px = (CHANCE_HIT / (std::f64::consts::PI * density)).sqrt().clamp(least, most);
         let log10_tests = possible.log10() + log10_searches;
@@ -225,7 +232,7 @@ impl<'a> Search<'a> {
             return whole;
         }
         // The fewest marks that could ever be believed: each as near as can be, all points in the image.
-        let density = self.field.points().len() as f64 / self.field.area_px2();
+        let density = self.field.density();
         let closest = -(-density * std::f64::consts::PI * 1.5 * CLOSEST_PX * CLOSEST_PX).exp_m1();
         let chances = vec![closest; self.gcps.len() - 2];
         let believed = |hits: &usize| self.log10_tests + log10_of_levels() + log10_tail(&chances, *hits) <= log10_limit;
@@ -255,12 +262,10 @@ impl<'a> Search<'a> {
         if self.field.points().len() < CROWD || pairs.len() * self.gcps.len() > 20_000_000 {
             return pairs;
         }
-        let density = self.field.points().len() as f64 / self.field.area_px2();
         let (mut telling, rest): (Vec<_>, Vec<_>) = pairs.into_iter().partition(|pair| {
-            let surprise = |t: &Target| -(-(-density * std::f64::consts::PI * t.radius_px * t.radius_px).exp_m1()).ln();
             // Less what choosing the hits costs, and a fifth for marks that are covered.
             let worth: f64 =
-                self.targets(pair, self.tolerance_px).iter().map(|t| (surprise(t) - 1.0).max(0.0)).sum::<f64>() * 0.8;
+                self.targets(pair, self.tolerance_px).iter().map(|t| (t.surprise - 1.0).max(0.0)).sum::<f64>() * 0.8;
             worth > pair.cost.max(1.0).ln()
         });
         telling.extend(rest);
@@ -359,7 +364,7 @@ impl<'a> Search<'a> {
     /// Other GCPs as a hypothesis about `pair` predicts them, most certain first.
     pub(super) fn targets(&self, pair: &GcpPair, tolerance_px: f64) -> Vec<Target> {
         let (a, b) = (self.gcps[pair.a], self.gcps[pair.b]);
-        let density = self.field.points().len() as f64 / self.field.area_px2();
+        let density = self.field.density();
         // Farther from the pair than the image is long it cannot be in the image.
         let reach_m = self.field.width_px.hypot(self.field.height_px) * pair.length_m / pair.reach_px.0;
         let mut targets: Vec<Target> = (0..self.gcps.len())
@@ -376,6 +381,7 @@ impl<'a> Search<'a> {
                     north,
                     radius_px,
                     bitmap,
+                    surprise: surprise(density, radius_px),
                 })
             })
             .collect();
@@ -385,7 +391,7 @@ impl<'a> Search<'a> {
 
     /// Fewer further hits than this could never be believed, however close they are.
     fn fewest_hits(&self, targets: &[Target], tolerance_px: f64) -> usize {
-        let density = self.field.points().len() as f64 / self.field.area_px2();
+        let density = self.field.density();
         let closest = |t: &Target| {
             let radius = t.radius_px / tolerance_px * CLOSEST_PX;
             -(-density * std::f64::consts::PI * radius * radius).exp_m1()
@@ -501,7 +507,7 @@ impl<'a> Search<'a> {
     ) -> Option<f64> {
         let Demand { fewest, first_looks } = demand;
         let from = self.field.points()[ends.0];
-        let (mut hits, mut inside, mut surprise) = (0usize, 0usize, 0.0);
+        let (mut hits, mut inside, mut surprising) = (0usize, 0usize, 0.0);
         let mut hit = [u32::MAX; MOST_HITS];
         for (k, target) in targets.iter().enumerate() {
             if hits + (targets.len() - k) < fewest || hits == MOST_HITS || (hits == 0 && k >= first_looks) {
@@ -525,11 +531,15 @@ impl<'a> Search<'a> {
             {
                 hit[hits] = candidate as u32;
                 hits += 1;
-                let area = std::f64::consts::PI * target.radius_px * target.radius_px;
-                surprise -= (-(-self.field.density_at(candidate) * area).exp_m1()).ln();
+                // Most of the field is as dense as the whole.
+                let density = self.field.density_at(candidate);
+                surprising += match density == self.field.density() {
+                    true => target.surprise,
+                    false => surprise(density, target.radius_px),
+                };
             }
         }
-        (hits >= fewest).then(|| surprise - hits as f64 * (std::f64::consts::E * inside as f64 / hits as f64).ln())
+        (hits >= fewest).then(|| surprising - hits as f64 * (std::f64::consts::E * inside as f64 / hits as f64).ln())
     }
 }
 

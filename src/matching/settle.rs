@@ -37,7 +37,7 @@ impl Search<'_> {
 
     /// The radius of a circle that holds a candidate by chance so often.
     pub(super) fn chance_radius_px(&self, chance: f64) -> f64 {
-        let density = self.field.points().len() as f64 / self.field.area_px2();
+        let density = self.field.density();
         (chance / (std::f64::consts::PI * density)).sqrt()
     }
 
