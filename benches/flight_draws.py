@@ -2,16 +2,17 @@
 """`flight solve` on a rendered flight with truth, over many draws of the rough table and the GCPs.
 
     benches/flight_draws.py EXE FLIGHT [--draws 10] [--first 0] [--every 1] [--sigma-table 200,1] [--sigma-gcp 25,0.7] [--gcps 12]
-                            [--engine colmap|pycolmap]
+                            [--engine colmap|pycolmap] [--keep DIR]
 
 FLIGHT holds truth.json, dem10.npz, depth_NAME.npz and the frames (../shared/data/flight; its README says what they are). For each
 draw (its seed is its number) the table gets errors of 200 m and 1 degree, and GCPs and check points are drawn on the ground where
 at least three frames see it, as its depths have it. Printed: frames registered, RMS errors of cameras and of check points
 against the truth (not against what the list says), focal length, and at the end median and worst. With --gcps 0 the table alone
-places the block. Wants numpy.
+places the block. --keep leaves each draw in DIR/SEED. Wants numpy.
 """
 
 import argparse
+import contextlib
 import json
 import pathlib
 import subprocess
@@ -31,6 +32,7 @@ words.add_argument("--sigma-table", default="200,1")
 words.add_argument("--sigma-gcp", default="25,0.7")
 words.add_argument("--gcps", type=int, default=12)
 words.add_argument("--engine", default="colmap", help="colmap, or pycolmap in the interpreter that AUTOREF_PYTHON names")
+words.add_argument("--keep", type=pathlib.Path)
 args = words.parse_args()
 place_m, turn_deg = map(float, args.sigma_table.split(","))
 ground_m, image_px = map(float, args.sigma_gcp.split(","))
@@ -118,9 +120,17 @@ def draw(folder, seed):
     )
 
 
+def place(seed):
+    if args.keep is None:
+        return tempfile.TemporaryDirectory()
+    folder = args.keep / str(seed)
+    folder.mkdir(parents=True)
+    return contextlib.nullcontext(folder)
+
+
 found, errors = [], []
 for seed in range(args.first, args.first + args.draws):
-    with tempfile.TemporaryDirectory() as folder:
+    with place(seed) as folder:
         folder = pathlib.Path(folder)
         draw(folder, seed)
         start = time.time()

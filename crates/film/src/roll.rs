@@ -14,7 +14,7 @@ use autoref_raster::atomic;
 use autoref_raster::bounded;
 use autoref_raster::cells::csv_text;
 use autoref_raster::error::{Error, Result};
-use autoref_raster::fingerprint::Fingerprint;
+use autoref_raster::fingerprint::{self, Fingerprint};
 use autoref_raster::output_folder::OutputFolder;
 
 /// How a roll came out.
@@ -82,10 +82,10 @@ fn read_file(path: &Path) -> Result<FrameFile> {
 }
 
 /// What the result depends on: the scan's size and time, the camera, the options, the program.
-fn inputs(scan: &Path, finder: &Finder, options: &FindOptions) -> Option<String> {
+fn inputs(scan: &Path, finder: &Finder, options: &FindOptions, program: &str) -> Option<String> {
     let meta = std::fs::metadata(scan).ok()?;
     let time = meta.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;
-    let means = Fingerprint::of(&format!("{finder:?} {options:?} {}", env!("CARGO_PKG_VERSION")));
+    let means = Fingerprint::of(&format!("{finder:?} {options:?} {program}"));
     Some(format!("{}-{}-{}", meta.len(), time.as_nanos(), means.hex()))
 }
 
@@ -116,7 +116,7 @@ pub fn run(
         .par_iter()
         .map(|scan| -> Result<Option<Facts>> {
             let file = frame_json(folder, scan);
-            let now = inputs(scan, finder, options);
+            let now = inputs(scan, finder, options, fingerprint::program());
             let before = read_file(&file).ok().filter(|f| now.as_deref() == Some(f.inputs.as_str()));
             let content = if let Some(before) = before {
                 resumed.fetch_add(1, Ordering::Relaxed);
@@ -226,4 +226,24 @@ fn table_rows(frame: &FrameResult, out: &mut dyn Write) -> std::io::Result<()> {
         )?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::load_camera;
+
+    #[test]
+    fn what_another_build_measured_is_measured_again() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let scan = folder.path().join("a.tif");
+        std::fs::write(&scan, "a scan").expect("writable");
+        let finder = Finder::new(&load_camera("rmk-cross").expect("built in")).expect("drawn shapes");
+        let of = |options: &FindOptions, program: &str| inputs(&scan, &finder, options, program).expect("a file");
+        let options = FindOptions::default();
+        let one = of(&options, "0.1.0 1000 1s");
+        assert_eq!(one, of(&options, "0.1.0 1000 1s"));
+        assert_ne!(one, of(&options, "0.1.0 1000 2s"), "a build of the same version");
+        assert_ne!(one, of(&FindOptions { pixel_um: Some(20.0), ..options }, "0.1.0 1000 1s"));
+    }
 }

@@ -4,6 +4,7 @@
 use std::hash::Hasher;
 use std::io::Read;
 use std::path::Path;
+use std::sync::LazyLock;
 
 use twox_hash::XxHash3_64;
 
@@ -53,9 +54,33 @@ impl Hasher for Fingerprint {
     }
 }
 
+/// Size and time of a file, which change with what it holds; empty when it is not there.
+pub fn size_and_time(path: &Path) -> String {
+    let time = |data: &std::fs::Metadata| data.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok();
+    std::fs::metadata(path).map(|data| format!("{} {:?}", data.len(), time(&data))).unwrap_or_default()
+}
+
+/// The program that runs: its version, and size and time of its file. A version alone says the same of all that is built
+/// between two releases, and a number that somebody must raise is forgotten.
+pub fn program() -> &'static str {
+    static PROGRAM: LazyLock<String> = LazyLock::new(|| {
+        let file = std::env::current_exe().map(|exe| size_and_time(&exe)).unwrap_or_default();
+        format!("{} {file}", env!("CARGO_PKG_VERSION"))
+    });
+    &PROGRAM
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_program_is_more_than_its_version() {
+        let exe = std::env::current_exe().expect("a test is a program");
+        let bytes = std::fs::metadata(exe).expect("it runs").len();
+        assert!(program().starts_with(env!("CARGO_PKG_VERSION")) && program().contains(&bytes.to_string()));
+        assert_eq!(size_and_time(Path::new("no such file")), "");
+    }
 
     /// What the author's library says.
     #[test]

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use autoref_raster::atomic::Transaction;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::fingerprint::size_and_time;
 use autoref_raster::memory_plan::cache_share_bytes;
 use autoref_raster::{RasterSource, ReaderChoice};
 use serde::Serialize;
@@ -231,7 +232,7 @@ pub fn teach(frames: &[PathBuf], given: &Given, options: &Options) -> Result<Tau
         }
     }
     let marks = by_frame.iter().flat_map(|(frame, _, mask)| [Some(frame.as_path()), *mask]);
-    let mark = marks.flatten().map(resume::file_mark).collect::<Vec<_>>().join(" ");
+    let mark = marks.flatten().map(size_and_time).collect::<Vec<_>>().join(" ");
     let classifier = learn(by_frame, options)?;
     Ok(Taught { classifier, mark })
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
-use autoref_raster::fingerprint::Fingerprint;
+use autoref_raster::fingerprint::{self, Fingerprint, size_and_time};
 
 use crate::batch::{Extras, Given, Method, Options, Report, Shares, Taught};
 
@@ -75,24 +75,13 @@ pub(crate) fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-pub(crate) fn file_mark(path: &Path) -> String {
-    let mark = |data: std::fs::Metadata| {
-        let time = data.modified().ok().and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok());
-        format!("{} {:?}", data.len(), time)
-    };
-    std::fs::metadata(path).map(mark).unwrap_or_default()
-}
-
-/// Rises when a method gives other masks than before.
-const METHODS: u32 = 3;
-
 /// Changes when the frame or anything that its mask depends on changes.
 pub(crate) fn fingerprint(frame: &Path, taught: &Taught, given: &Given, options: &Options) -> String {
-    let global = given.global_mask.as_deref().map(file_mark);
+    let global = given.global_mask.as_deref().map(size_and_time);
     let what = format!(
-        "{METHODS} {} {} {:?} {} {} {} {:?} {} {:?} {:?} {:?} {:?} {global:?} {given:?}",
-        env!("CARGO_PKG_VERSION"),
-        file_mark(frame),
+        "{} {} {:?} {} {} {} {:?} {} {:?} {:?} {:?} {:?} {global:?} {given:?}",
+        fingerprint::program(),
+        size_and_time(frame),
         options.method,
         options.reduce,
         options.neighbours,

@@ -11,7 +11,7 @@ use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::bounded;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::Error;
-use autoref_raster::fingerprint::Fingerprint;
+use autoref_raster::fingerprint::{self, Fingerprint};
 use autoref_raster::output_folder::OutputFolder;
 use clap::Args;
 use serde_json::{Value, json};
@@ -329,7 +329,7 @@ fn identity(cloud: &Path, parameters: &Value, steps: &[Step]) -> anyhow::Result<
         "modified_s": time.map(|time| time.as_secs_f64()),
         "parameters": parameters,
         "steps": Fingerprint::of(&format!("{steps:?}")).hex(),
-        "program": env!("CARGO_PKG_VERSION"),
+        "program": fingerprint::program(),
     }))
 }
 

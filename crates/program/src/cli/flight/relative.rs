@@ -9,7 +9,7 @@ use autoref_flight::adjust::{GroundPoint, RoughPose};
 use autoref_flight::pose::turn;
 use autoref_flight::read::{Photograph, Reconstruction, colmap};
 use autoref_flight::{Camera, Error, Pose, complete, start};
-use autoref_raster::fingerprint::Fingerprint;
+use autoref_raster::fingerprint::{self, Fingerprint};
 
 use super::engine::{Program, no_pair};
 use super::lists::some_of;
@@ -195,7 +195,8 @@ impl<'a> Flight<'a> {
         for mask in self.masks.files(&self.ordered) {
             hash.file(&mask)?;
         }
-        hash.write(format!("{} {near:?}", plane.ground_m).as_bytes());
+        // What follows from the ties goes by what they are; they alone are the program's own work.
+        hash.write(format!("{} {near:?} {}", plane.ground_m, fingerprint::program()).as_bytes());
         // To a millimetre and a hundredth of a second: sums over threads differ in the last digits.
         let rounded = |v: &f64, unit: f64| (v / unit).round() as i64;
         for view in &plane.views {
