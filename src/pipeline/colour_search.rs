@@ -44,7 +44,8 @@ pub struct ColourCluster {
 }
 
 impl ColourSearch {
-    /// What to try next, of clusters that look like marks; not the paint that `profile` was asked for.
+    /// What to try next, of clusters that look like marks, the most vivid first: grass and earth come in many objects,
+    /// paint is bright. Not the paint that `profile` was asked for.
     pub fn advice(&self, profile: &str) -> Vec<String> {
         let asked = srgb_of_hex(profile).map(place);
         let is_new = |c: &&ColourCluster| {
@@ -56,7 +57,9 @@ impl ColourSearch {
         let line = |c: &ColourCluster| {
             format!("these {} objects of colour {} look like marks: --paint \"{}\"", c.objects, c.colour, c.colour)
         };
-        self.clusters.iter().filter(is_new).take(3).map(line).collect()
+        let mut new: Vec<&ColourCluster> = self.clusters.iter().filter(is_new).collect();
+        new.sort_by(|s, t| chroma(&t.colour).total_cmp(&chroma(&s.colour)));
+        new.into_iter().take(3).map(line).collect()
     }
 
     /// That the marks are of another paint.
@@ -120,6 +123,11 @@ fn oriented(job: &Job<'_>, candidates: &[Candidate], colour: [u8; 3]) -> Result<
     Ok(matches!(outcome, Outcome::Solved(_)).then_some(outcome))
 }
 
+/// How far a colour, #RRGGBB, is from grey in a\*, b\*.
+fn chroma(colour: &str) -> f64 {
+    srgb_of_hex(colour).map_or(0.0, |rgb| place(rgb).yz().norm())
+}
+
 fn place(rgb: [u8; 3]) -> Vector3<f64> {
     let lab = lab_from_srgb(rgb.map(|v| f64::from(v) / 255.0));
     Vector3::new(lab[0] / 2.0, lab[1], lab[2])
@@ -173,7 +181,8 @@ mod tests {
         let cluster = |colour: &str| ColourCluster { colour: colour.into(), objects: 20, matched: 0, adopted: false };
         let search =
             ColourSearch { objects: 40, clusters: vec![cluster("#2A4363"), cluster("#C83232")], elapsed_s: 0.0 };
-        assert_eq!(search.advice("orange").len(), 2);
+        let advice = search.advice("orange");
+        assert!(advice.len() == 2 && advice[0].contains("#C83232"), "the most vivid first: {advice:?}");
         for asked in ["#2A4363", "#2C4564"] {
             let advice = search.advice(asked);
             assert!(advice.len() == 1 && advice[0].contains("#C83232"), "{advice:?}");

@@ -159,7 +159,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let priors = prepare::priors(info, &args.matching);
     // Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident.
     // The first look has half of what is allowed, the second a quarter, all clusters of colour together the last. Of
-    // the work the second look, and the clusters together, may do half of what the first may.
+    // the work the second look, and the clusters together, may do a quarter of what the first may: they match the
+    // strongest candidates only.
     let learns = matches!(detector, MarkDetector::Paint(_))
         && args.second_pass != SecondPassArg::Never
         && args.refine == RefineArg::Always;
@@ -169,8 +170,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         let shared = Shared { chances: priors.len() * chances, part: part as u64 };
         prepare::matcher(&args.matching, own, shared, &time_limit)
     };
-    let (matcher, learned_matcher) = (matcher_of(if learns { 2 } else { 1 }, 1)?, matcher_of(4, 2)?);
-    let cluster_matcher = matcher_of(4 * MOST_CLUSTERS, 2 * MOST_CLUSTERS)?;
+    let (matcher, learned_matcher) = (matcher_of(if learns { 2 } else { 1 }, 1)?, matcher_of(4, 4)?);
+    let cluster_matcher = matcher_of(4 * MOST_CLUSTERS, 4 * MOST_CLUSTERS)?;
     let bar = Bar::new(info, args.quiet || args.json);
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();
