@@ -8,7 +8,8 @@ FLIGHT holds truth.json, dem10.npz, depth_NAME.npz and the frames (../shared/dat
 draw (its seed is its number) the table gets errors of 200 m and 1 degree, and GCPs and check points are drawn on the ground where
 at least three frames see it, as its depths have it. Printed: frames registered, RMS errors of cameras and of check points
 against the truth (not against what the list says), focal length, and at the end median and worst. With --gcps 0 the table alone
-places the block. --keep leaves each draw in DIR/SEED. Wants numpy.
+places the block. --keep leaves each draw in DIR/SEED, and
+goes on from what is there. Wants numpy.
 """
 
 import argparse
@@ -124,7 +125,7 @@ def place(seed):
     if args.keep is None:
         return tempfile.TemporaryDirectory()
     folder = args.keep / str(seed)
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     return contextlib.nullcontext(folder)
 
 
@@ -132,7 +133,8 @@ found, errors = [], []
 for seed in range(args.first, args.first + args.draws):
     with place(seed) as folder:
         folder = pathlib.Path(folder)
-        draw(folder, seed)
+        if not (folder / "FLIGHT.toml").exists():
+            draw(folder, seed)
         start = time.time()
         run = subprocess.run(
             [args.exe, "flight", "solve", folder / "FLIGHT.toml", "-o", folder / "out", "--engine", args.engine, "--json"],

@@ -18,6 +18,7 @@ use autoref_raster::RasterSource;
 use autoref_raster::atomic;
 use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::error::{Error, Result};
+use autoref_raster::keys;
 use autoref_raster::output_folder::OutputFolder;
 
 /// Where the camera's marks are to be expected in an upright scan of so many pixels, in the camera's order; `turn_deg`
@@ -344,7 +345,7 @@ fn cubic(grey: &Grey, p: PixelPoint) -> Option<f32> {
     if x < 0.0 || y < 0.0 || x + 1.0 >= grey.width as f64 || y + 1.0 >= grey.height as f64 {
         return None;
     }
-    Some(super::template::cubic([grey.width, grey.height], [x, y], |i, j| grey.at(i, j)))
+    Some(keys::cubic([grey.width, grey.height], [x, y], |i, j| grey.at(i, j)))
 }
 
 /// Windows of one mark, summed: memory does not depend on their number.

@@ -14,6 +14,7 @@ pub mod ortho;
 pub mod plane;
 pub mod pose;
 pub mod read;
+pub mod refine;
 pub mod render;
 pub mod resect;
 pub mod start;

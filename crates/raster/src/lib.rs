@@ -35,6 +35,7 @@ pub mod fingerprint;
 mod gdal;
 mod height_band;
 pub mod jpeg_end;
+pub mod keys;
 pub mod markup;
 pub mod mask;
 pub mod masked;

@@ -15,6 +15,7 @@ pub(in crate::cli) mod ortho;
 mod page;
 mod plausible;
 mod project;
+mod refine;
 mod relative;
 mod runs;
 mod solve;

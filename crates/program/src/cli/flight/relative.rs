@@ -157,6 +157,14 @@ pub struct Matched {
 pub struct Oriented {
     pub model: Reconstruction,
     pub by: MadeBy,
+    /// Image points that were laid upon each other in the frames.
+    pub laid: usize,
+}
+
+impl Oriented {
+    pub fn new(model: Reconstruction, by: MadeBy) -> Self {
+        Oriented { model, by, laid: 0 }
+    }
 }
 
 impl<'a> Flight<'a> {
@@ -302,8 +310,8 @@ impl<'a> Flight<'a> {
         let (matches, hash) = matched.matches;
         let all = self.ordered.len();
         let warped = match matched.placed {
-            Some(Ok(model)) if model.photographs.len() == all => return Ok(Oriented { model, by: MadeBy::Table }),
-            None => return Ok(Oriented { model: self.grown("sparse", &matches, hash)?, by: MadeBy::Mapper }),
+            Some(Ok(model)) if model.photographs.len() == all => return Ok(Oriented::new(model, MadeBy::Table)),
+            None => return Ok(Oriented::new(self.grown("sparse", &matches, hash)?, MadeBy::Mapper)),
             Some(placed) => larger(self.grown("sparse", &matches, hash), placed),
         };
         let joined = match &warped {
@@ -316,7 +324,7 @@ impl<'a> Flight<'a> {
         }
         let (matches, hash) = self.matches(None, "plain_")?;
         match self.grown("plain_sparse", &matches, hash) {
-            Ok(model) if model.photographs.len() > joined => Ok(Oriented { model, by: MadeBy::MapperOfPlainFrames }),
+            Ok(model) if model.photographs.len() > joined => Ok(Oriented::new(model, MadeBy::MapperOfPlainFrames)),
             Err(error) if !is_no_result(&error) => Err(error),
             Ok(_) | Err(_) => warped,
         }
@@ -416,10 +424,10 @@ impl Tied {
 /// # Errors
 /// When neither is there: what COLMAP said.
 fn larger(grown: Result<Reconstruction>, placed: Result<Reconstruction>) -> Result<Oriented> {
-    let from_table = |model| Oriented { model, by: MadeBy::Table };
+    let from_table = |model| Oriented::new(model, MadeBy::Table);
     match (grown, placed) {
         (Ok(grown), Ok(placed)) if placed.photographs.len() > grown.photographs.len() => Ok(from_table(placed)),
-        (Ok(model), _) => Ok(Oriented { model, by: MadeBy::Mapper }),
+        (Ok(model), _) => Ok(Oriented::new(model, MadeBy::Mapper)),
         (Err(error), placed) if is_no_result(&error) => placed.map(from_table).map_err(|_| error),
         (Err(error), _) => Err(error),
     }

@@ -15,6 +15,7 @@ use super::engine::Program;
 use super::project::{
     OrderedFrames, Project, absolute, default_ground_m, default_image_px, ordered_frames, point_args, read_project,
 };
+use super::refine::refined;
 use super::relative::{Flight, GroundPlane, MadeBy, Oriented};
 use super::stages::{self, After, Record, Stage};
 use super::{
@@ -188,14 +189,14 @@ impl<'a> Ready<'a> {
         let (oriented, ties) = match self.args.engine.of_colmap() {
             Some(_) => match self.by_colmap(&flight, plane.as_ref())? {
                 ByColmap::Ends(found) => return Ok(found),
-                ByColmap::Oriented(oriented, ties) => (oriented, ties),
+                ByColmap::Oriented(oriented, ties) => (refined(oriented, folder)?, ties),
             },
             None => {
                 if self.args.until == Stage::Ties {
                     bail!("MicMac makes ties and relative orientation in one run; --until relative");
                 }
                 let model = micmac::oriented(&self.args.project, (project, &self.base), &self.frames, &self.out)?;
-                (Oriented { model, by: MadeBy::Micmac }, None)
+                (Oriented::new(model, MadeBy::Micmac), None)
             }
         };
         let found = stages::relative(&oriented, &flight.ordered, self.listed);

@@ -267,6 +267,8 @@ pub fn relative(oriented: &Oriented, names: &[&str], listed: usize) -> Value {
         "frames_listed": listed,
         "not_registered": lost,
         "ties": model.ties.len(),
+        "image_points": total.0,
+        "image_points_laid": oriented.laid,
         "reprojection_rms_px": rms(total),
         "frames": model.photographs.iter().zip(&squares).map(frame).collect::<Vec<_>>(),
     })

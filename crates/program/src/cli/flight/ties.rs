@@ -229,12 +229,12 @@ fn draw(images: &Path, job: &Job<'_>) -> Result<Drawn> {
     for (a, view) in job.views.iter().enumerate() {
         steps.at(a as u64, job.views.len() as u64);
         shelf.forget_before(a);
-        let frame = shelf.get(job.frames, job.views, a)?;
+        let frame = shelf.get(job.frames, &view.name, a)?;
         largest_px = largest_px.max(frame.layout.width).max(frame.layout.height);
         frame.write(&images.join(format!("r{a}.png")))?;
         for &(_, b) in job.pairs.iter().filter(|p| p.0 == a) {
             let Some(h) = homography(&view.pose, &job.views[b].pose, job.interior, job.ground_m) else { continue };
-            shelf.get(job.frames, job.views, b)?;
+            shelf.get(job.frames, &job.views[b].name, b)?;
             let (drawn, share) = shelf.have(b).warped(shelf.have(a).layout, &h);
             if share >= LEAST_OVERLAP {
                 drawn.write(&images.join(format!("w{a}_{b}.png")))?;

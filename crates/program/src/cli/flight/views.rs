@@ -220,6 +220,11 @@ impl Grey {
         Ok(Grey { layout, pixels: even_contrast(&smoothed, layout.width, layout.height) })
     }
 
+    /// Row by row.
+    pub fn pixels(&self) -> &[u8] {
+        &self.pixels
+    }
+
     /// A frame as it is, in grey, at most `largest_px` wide or high.
     pub fn plain(folder: &Path, name: &str, largest_px: usize) -> Result<Self> {
         let path = folder.join(name);
@@ -348,13 +353,14 @@ const MOST_HELD: usize = 32;
 pub struct Shelf(BTreeMap<usize, Grey>);
 
 impl Shelf {
-    pub fn get(&mut self, folder: &Path, views: &[View], index: usize) -> Result<&Grey> {
+    /// The frame that is called `name`, `index` being its number.
+    pub fn get(&mut self, folder: &Path, name: &str, index: usize) -> Result<&Grey> {
         if !self.0.contains_key(&index) {
             // The first is at work; the last is needed the latest.
             if self.0.len() >= MOST_HELD {
                 self.0.pop_last();
             }
-            self.0.insert(index, Grey::read(folder, &views[index].name)?);
+            self.0.insert(index, Grey::read(folder, name)?);
         }
         Ok(&self.0[&index])
     }

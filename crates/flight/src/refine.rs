@@ -1,0 +1,377 @@
+//! Ties to a fraction of a pixel: what one frame shows around a tie is laid upon what the other shows there.
+//!
+//! Least squares matching (F. Ackermann, "Digital image correlation", Photogrammetric Record 11, 1984; A. Grün,
+//! "Adaptive least squares correlation", South African Journal of Photogrammetry 14, 1985), in the inverse form, where
+//! the gradients are those of the one window that does not move (S. Baker and I. Matthews, "Lucas-Kanade 20 years on",
+//! IJCV 56, 2004). Sought are the shift, and contrast and light of the windows to each other; how the ground around is
+//! turned, sheared and scaled from frame to frame the neighbouring ties say.
+
+use std::collections::BTreeMap;
+
+use autoref_raster::keys::cubic;
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix4, Vector2, Vector3, Vector4};
+use rayon::prelude::*;
+
+use crate::intersect::intersect_seen;
+use crate::read::Reconstruction;
+
+/// Pixels of a window to each side of its middle, and the σ of the weights in it.
+const HALF_PX: i32 = 14;
+const SIGMA_PX: f64 = 7.0;
+/// A feature that lies farther off is another.
+const MOST_MOVED_PX: f64 = 3.0;
+/// A step as small as this is the last.
+const LAST_STEP_PX: f64 = 0.01;
+const MOST_STEPS: usize = 25;
+/// Windows that correlate less show different ground.
+const LEAST_CORRELATION: f64 = 0.6;
+/// Neighbouring ties that say how the ground is warped, and how few can say it.
+const NEIGHBOURS: usize = 16;
+const LEAST_NEIGHBOURS: usize = 6;
+
+/// A frame in grey, `scale` pixels of it to a pixel of the frame.
+#[derive(Clone, Copy)]
+pub struct Picture<'a> {
+    pub size: [usize; 2],
+    pub grey: &'a [u8],
+    pub scale: f64,
+}
+
+/// A tie of two frames: the image point that stays and the one that moves, by their places in `seen`.
+#[derive(Clone, Copy, Debug)]
+struct Tied {
+    tie: usize,
+    stays: usize,
+    moves: usize,
+}
+
+/// Two frames that are to be laid upon each other.
+#[derive(Debug)]
+pub struct Pair {
+    /// By their numbers, the smaller first.
+    pub frames: [usize; 2],
+    ties: Vec<Tied>,
+    /// Where both frames show the same ground.
+    common: Vec<[[f64; 2]; 2]>,
+}
+
+/// An image point that was laid upon another.
+#[derive(Clone, Copy, Debug)]
+pub struct Moved {
+    tie: usize,
+    point: usize,
+    to: [f64; 2],
+}
+
+/// The pairs of frames that share ties. Of every tie the image point in the middle stays, and the others are laid upon
+/// it: all of a tie then agree on one place of the ground.
+pub fn pairs(model: &Reconstruction) -> Vec<Pair> {
+    let mut pairs: BTreeMap<[usize; 2], Pair> = BTreeMap::new();
+    for (tie, point) in model.ties.iter().enumerate() {
+        let stays = point.seen.len() / 2;
+        for (i, (a, p)) in point.seen.iter().enumerate() {
+            for (j, (b, q)) in point.seen.iter().enumerate().filter(|(_, (b, _))| a < b) {
+                let pair =
+                    pairs.entry([*a, *b]).or_insert_with(|| Pair { frames: [*a, *b], ties: vec![], common: vec![] });
+                pair.common.push([*p, *q]);
+                if i == stays || j == stays {
+                    let moves = if i == stays { j } else { i };
+                    pair.ties.push(Tied { tie, stays, moves });
+                }
+            }
+        }
+    }
+    pairs.into_values().filter(|pair| !pair.ties.is_empty() && pair.common.len() > LEAST_NEIGHBOURS).collect()
+}
+
+/// Lays the image points of a pair of frames upon each other, `pictures` in the order of its frames. Points whose
+/// surroundings do not fit are left out.
+pub fn laid(model: &Reconstruction, pair: &Pair, pictures: [Picture<'_>; 2]) -> Vec<Moved> {
+    let one = |tied: &Tied| {
+        let seen = &model.ties[tied.tie].seen;
+        let ((frame, stays), (_, moves)) = (seen[tied.stays], seen[tied.moves]);
+        let from = usize::from(frame == pair.frames[1]);
+        let common = pair.common.iter().map(|c| [Vector2::from(c[from]), Vector2::from(c[1 - from])]);
+        let warp = warp(common, [stays.into(), moves.into()])?;
+        let [one, two] = [pictures[from], pictures[1 - from]];
+        let shift = shift([one, two], [stays.into(), moves.into()], &warp)?;
+        Some(Moved { tie: tied.tie, point: tied.moves, to: [moves[0] + shift.x, moves[1] + shift.y] })
+    };
+    pair.ties.par_iter().filter_map(one).collect()
+}
+
+/// The block with the image points where they were laid, and its ties where their rays meet now; `None` when the rays
+/// meet no better than before (the median over image points): then what stands up from the ground, or moved, was laid
+/// upon each other.
+pub fn taken(model: &Reconstruction, moved: &[Moved]) -> Option<Reconstruction> {
+    let mut laid = model.clone();
+    for m in moved {
+        laid.ties[m.tie].seen[m.point].1 = m.to;
+    }
+    let met = |model: &Reconstruction| -> Vec<Option<Vector3<f64>>> {
+        model.ties.par_iter().map(|tie| intersect_seen(model, &tie.seen)).collect()
+    };
+    let (before, after) = (met(model), met(&laid));
+    let missed = |model: &Reconstruction, places: &[Option<Vector3<f64>>]| {
+        let both = before.iter().zip(&after).map(|(a, b)| a.is_some() && b.is_some());
+        let points = model.ties.iter().zip(places).zip(both).filter(|(_, both)| *both);
+        let mut all: Vec<f64> = points
+            .filter_map(|((tie, place), _)| Some((tie, (*place)?)))
+            .flat_map(|(tie, place)| tie.seen.iter().map(move |seen| (seen, place)))
+            .filter_map(|((frame, pixel), place)| {
+                let photograph = &model.photographs[*frame];
+                let [x, y] = model.cameras[photograph.camera].project(photograph.pose.to_camera(&place).into())?;
+                Some((x - pixel[0]).hypot(y - pixel[1]))
+            })
+            .collect();
+        let middle = all.len() / 2;
+        (!all.is_empty()).then(|| *all.select_nth_unstable_by(middle, f64::total_cmp).1)
+    };
+    if missed(&laid, &after)? >= missed(model, &before)? {
+        return None;
+    }
+    for (tie, place) in laid.ties.iter_mut().zip(&after) {
+        tie.xyz = place.unwrap_or(tie.xyz);
+    }
+    Some(laid)
+}
+
+/// How the ground around a tie is turned, sheared and scaled from the one frame to the other, as the ties around it
+/// move; `None` when they say nothing.
+fn warp(common: impl Iterator<Item = [Vector2<f64>; 2]>, at: [Vector2<f64>; 2]) -> Option<Matrix2<f64>> {
+    let mut near: Vec<[Vector2<f64>; 2]> = common.map(|[p, q]| [p - at[0], q - at[1]]).collect();
+    // The tie itself says nothing of its surroundings, and costs nothing.
+    if near.len() > NEIGHBOURS + 1 {
+        near.select_nth_unstable_by(NEIGHBOURS, |a, b| a[0].norm_squared().total_cmp(&b[0].norm_squared()));
+        near.truncate(NEIGHBOURS + 1);
+    }
+    let mut weights = vec![1.0; near.len()];
+    let mut found = Matrix3x2::zeros();
+    for _ in 0..5 {
+        let (mut normal, mut right) = (Matrix3::zeros(), Matrix3x2::zeros());
+        for ([p, q], weight) in near.iter().zip(&weights) {
+            let row = Vector3::new(p.x, p.y, 1.0);
+            normal += row * row.transpose() * *weight;
+            right += row * q.transpose() * *weight;
+        }
+        found = normal.try_inverse()? * right;
+        let missed: Vec<f64> =
+            near.iter().map(|[p, q]| (q - found.transpose() * Vector3::new(p.x, p.y, 1.0)).norm()).collect();
+        let mut sorted = missed.clone();
+        let middle = sorted.len() / 2;
+        // As absolute values weigh, but for those that fit as most do.
+        let usual = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1 + 0.3;
+        weights = missed.iter().map(|m| 1.0 / m.max(usual)).collect();
+    }
+    let warp = found.fixed_rows::<2>(0).transpose();
+    let values = warp.singular_values();
+    (values.min() > 0.4 && values.max() < 2.5).then_some(warp)
+}
+
+impl Picture<'_> {
+    /// The grey value at a place of the picture.
+    fn at(&self, place: Vector2<f64>) -> f64 {
+        let value = |i: usize, j: usize| f32::from(self.grey[j * self.size[0] + i]);
+        f64::from(cubic(self.size, [place.x - 0.5, place.y - 0.5], value))
+    }
+
+    fn holds(&self, place: Vector2<f64>) -> bool {
+        (0..2).all(|k| place[k] >= 1.0 && place[k] <= self.size[k] as f64 - 1.0)
+    }
+}
+
+/// Where the second picture shows what the first shows around the first place, in pixels of the frame from the second
+/// place.
+fn shift(pictures: [Picture<'_>; 2], at: [Vector2<f64>; 2], warp: &Matrix2<f64>) -> Option<Vector2<f64>> {
+    let [one, two] = pictures;
+    let (p, q) = (at[0] * one.scale, at[1] * two.scale);
+    let warp = warp * (two.scale / one.scale);
+    let reach = f64::from(HALF_PX + 1);
+    let corners = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]].map(|c| Vector2::from(c) * reach);
+    let margin = Vector2::new(MOST_MOVED_PX, MOST_MOVED_PX);
+    if !corners.iter().all(|c| one.holds(p + c) && two.holds(q + warp * c - margin) && two.holds(q + warp * c + margin))
+    {
+        return None;
+    }
+    let template = Template::of(&one, p)?;
+    let mut moved = Vector2::zeros();
+    for _ in 0..MOST_STEPS {
+        let values: Vec<f64> = template.offsets.iter().map(|d| two.at(q + moved + warp * d)).collect();
+        let step = template.step(&values)?;
+        moved -= warp * step;
+        if moved.norm() > MOST_MOVED_PX {
+            return None;
+        }
+        if step.norm() < LAST_STEP_PX {
+            return (template.correlation(&values) >= LEAST_CORRELATION).then(|| moved / two.scale);
+        }
+    }
+    None
+}
+
+/// A window that others are laid upon.
+struct Template {
+    offsets: Vec<Vector2<f64>>,
+    /// Weight, and what a window is made of: the gradients, the window itself, and light.
+    rows: Vec<(f64, Vector4<f64>)>,
+    inverse: Matrix4<f64>,
+}
+
+impl Template {
+    fn of(picture: &Picture<'_>, at: Vector2<f64>) -> Option<Self> {
+        let reach = HALF_PX + 1;
+        let side = (2 * reach + 1) as usize;
+        let place = |k: usize| Vector2::new((k % side) as f64, (k / side) as f64).add_scalar(-f64::from(reach));
+        let grey: Vec<f64> = (0..side * side).map(|k| picture.at(at + place(k))).collect();
+        let inside = |k: &usize| (1..side - 1).contains(&(k % side)) && (1..side - 1).contains(&(k / side));
+        let (mut offsets, mut rows) = (Vec::new(), Vec::new());
+        for k in (0..side * side).filter(inside) {
+            let d = place(k);
+            let gradient = [grey[k + 1] - grey[k - 1], grey[k + side] - grey[k - side]].map(|v| v / 2.0);
+            let weight = (-0.5 * d.norm_squared() / (SIGMA_PX * SIGMA_PX)).exp();
+            offsets.push(d);
+            rows.push((weight, Vector4::new(gradient[0], gradient[1], grey[k], 1.0)));
+        }
+        let normal: Matrix4<f64> = rows.iter().map(|(weight, row)| row * row.transpose() * *weight).sum();
+        Some(Template { offsets, rows, inverse: normal.try_inverse()? })
+    }
+
+    /// How far what the values show lies from the middle; `None` where they are nothing of the kind.
+    fn step(&self, values: &[f64]) -> Option<Vector2<f64>> {
+        let right: Vector4<f64> = self.rows.iter().zip(values).map(|((weight, row), v)| row * (weight * v)).sum();
+        let found = self.inverse * right;
+        (found[2] > 0.2).then(|| Vector2::new(found[0], found[1]) / found[2])
+    }
+
+    fn correlation(&self, values: &[f64]) -> f64 {
+        let both = || self.rows.iter().zip(values).map(|((weight, row), v)| (*weight, row[2], *v));
+        let sum: f64 = both().map(|(w, ..)| w).sum();
+        let [one, two] = both().fold([0.0; 2], |[a, b], (w, u, v)| [a + w * u / sum, b + w * v / sum]);
+        let [uu, uv, vv] = both().fold([0.0; 3], |s, (w, u, v)| {
+            let (u, v) = (u - one, v - two);
+            [s[0] + w * u * u, s[1] + w * u * v, s[2] + w * v * v]
+        });
+        uv / (uu * vv).sqrt().max(f64::MIN_POSITIVE)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::Camera;
+    use crate::pose::{Pose, YawPitchRoll};
+    use crate::read::{Photograph, TiePoint};
+    use autoref_synth::rng::{Rng, value_noise};
+
+    const SIZE: [usize; 2] = [320, 240];
+
+    /// Three frames of ground that is drawn, straight down, each with light, turn and grain of its own, and ties of
+    /// which every image point but the middle one is off by 0.8 px.
+    struct Drawn {
+        model: Reconstruction,
+        greys: Vec<Vec<u8>>,
+        truth: Vec<Vec<[f64; 2]>>,
+    }
+
+    impl Drawn {
+        fn new(ground: fn(usize, f64, f64) -> f64) -> Self {
+            let mut rng = Rng::new(3, 1, 1);
+            let camera = Camera::pinhole("c", SIZE.map(|v| v as f64), 300.0, [160.0, 120.0]);
+            let look = |k: usize| {
+                let angles = YawPitchRoll { yaw_deg: 4.0 * k as f64, pitch_deg: -89.0, roll_deg: 0.0 };
+                Pose::looking(Vector3::new(60.0 * k as f64, 0.0, 300.0 + 10.0 * k as f64), angles)
+            };
+            let poses: Vec<Pose> = (0..3).map(look).collect();
+            let on_ground = |pose: &Pose, pixel: [f64; 2]| {
+                let ray = pose.rotation.transpose() * Vector3::from(camera.ray(pixel).expect("a pinhole"));
+                pose.centre - ray * (pose.centre.z / ray.z)
+            };
+            let greys = (0..3).map(|k| {
+                let pixel = |i: usize| {
+                    let x = on_ground(&poses[k], [(i % SIZE[0]) as f64 + 0.5, (i / SIZE[0]) as f64 + 0.5]);
+                    let value = (0.6 + 0.15 * k as f64) * ground(k, x.x, x.y) + 10.0 * k as f64 + 3.0 * rng.normal();
+                    value.round().clamp(0.0, 255.0) as u8
+                };
+                (0..SIZE[0] * SIZE[1]).map(pixel).collect()
+            });
+            let greys: Vec<Vec<u8>> = greys.collect();
+            let (mut ties, mut truth) = (Vec::new(), Vec::new());
+            while ties.len() < 150 {
+                let xyz = on_ground(&poses[1], [rng.range(20.0, 300.0), rng.range(20.0, 220.0)]);
+                let seen = poses.iter().map(|p| camera.project(p.to_camera(&xyz).into()).expect("in front"));
+                let right: Vec<[f64; 2]> = seen.collect();
+                if right.iter().all(|p| p[0] > 20.0 && p[0] < 300.0 && p[1] > 20.0 && p[1] < 220.0) {
+                    let mut off = |k: usize, v: f64| if k == 1 { v } else { v + 0.8 * rng.normal() };
+                    let seen = right.iter().enumerate().map(|(k, p)| (k, p.map(|v| off(k, v)))).collect();
+                    ties.push(TiePoint { xyz, seen });
+                    truth.push(right);
+                }
+            }
+            let photographs = poses.iter().enumerate();
+            let photographs =
+                photographs.map(|(k, pose)| Photograph { name: format!("{k}"), camera: 0, pose: *pose }).collect();
+            let model = Reconstruction { cameras: vec![camera], photographs, ties, ..Reconstruction::default() };
+            Drawn { model, greys, truth }
+        }
+
+        fn laid(&self) -> Vec<Moved> {
+            let picture = |k: usize| Picture { size: SIZE, grey: &self.greys[k], scale: 1.0 };
+            let pairs = pairs(&self.model);
+            pairs.iter().flat_map(|pair| laid(&self.model, pair, pair.frames.map(picture))).collect()
+        }
+
+        /// The largest of nineteen in twenty errors of image points that were laid.
+        fn most(&self, model: &Reconstruction, moved: &[Moved]) -> f64 {
+            let error = |m: &Moved| {
+                let (a, b) = (model.ties[m.tie].seen[m.point].1, self.truth[m.tie][m.point]);
+                (a[0] - b[0]).hypot(a[1] - b[1])
+            };
+            let mut all: Vec<f64> = moved.iter().map(error).collect();
+            all.sort_by(f64::total_cmp);
+            all[all.len() * 19 / 20]
+        }
+    }
+
+    fn noise(seed: u64, x: f64, y: f64) -> f64 {
+        let at = |size: f64| f64::from(value_noise(seed + size as u64, (x / size) as f32, (y / size) as f32));
+        60.0 + 70.0 * at(3.0) + 60.0 * at(9.0)
+    }
+
+    #[test]
+    fn ties_are_laid_upon_each_other_to_a_tenth_of_a_pixel() {
+        let drawn = Drawn::new(|_, x, y| noise(1, x, y));
+        let moved = drawn.laid();
+        assert!(moved.len() > 280, "{} of 300", moved.len());
+        let better = taken(&drawn.model, &moved).expect("the rays meet better");
+        let [before, after] = [&drawn.model, &better].map(|model| drawn.most(model, &moved));
+        assert!(before > 1.2 && after < 0.15, "{before} -> {after}");
+        for (tie, truth) in better.ties.iter().zip(&drawn.truth) {
+            assert_eq!(tie.seen[1].1, truth[1], "the point in the middle stays");
+        }
+    }
+
+    #[test]
+    fn what_shows_other_ground_stays_where_it_was() {
+        // Each frame has ground of its own, as water has.
+        let drawn = Drawn::new(|frame, x, y| noise(100 * frame as u64, x, y));
+        let moved = drawn.laid();
+        assert!(moved.len() < 30, "{} of 300", moved.len());
+        let even = Drawn::new(|_, _, _| 100.0);
+        assert!(even.laid().len() < 30);
+    }
+
+    #[test]
+    fn a_block_whose_rays_meet_worse_is_not_taken() {
+        let drawn = Drawn::new(|_, x, y| noise(1, x, y));
+        let far = |tie: usize| Moved { tie, point: 0, to: drawn.model.ties[tie].seen[0].1.map(|v| v + 3.0) };
+        let moved: Vec<Moved> = (0..drawn.model.ties.len()).map(far).collect();
+        assert!(taken(&drawn.model, &moved).is_none());
+    }
+
+    #[test]
+    fn few_ties_do_not_say_how_the_ground_is_warped() {
+        let mut drawn = Drawn::new(|_, x, y| noise(1, x, y));
+        drawn.model.ties.truncate(LEAST_NEIGHBOURS);
+        assert!(pairs(&drawn.model).is_empty());
+    }
+}
