@@ -165,7 +165,7 @@ def told(name, line):
 
 def one(folder):
     document = json.loads((folder / "out" / "cameras.json").read_text())
-    names = sorted(POSE)
+    names = sorted(c["name"] for c in document["cameras"])
     lists = [row.split() for row in (folder / "gcps.txt").read_text().splitlines()[1:]]
     ids = sorted({row[6] for row in lists})
     rows = np.array([[names.index(row[5]), ids.index(row[6]), float(row[3]), float(row[4])] for row in lists])
@@ -236,7 +236,7 @@ def one(folder):
     block.X[: control.sum()] = held[control]
     cameras, grounds, W, inverse, across, reduced, _ = block.normal(False, np.ones(len(frames)))
     cov = np.linalg.inv(reduced)
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(1 + int(folder.name))
     steps = np.linalg.cholesky(cov) @ rng.normal(size=(len(cov), args.spread))
     at = rows[check[rows[:, 1].astype(int)]].copy()
     at[:, 1] = np.unique(at[:, 1], return_inverse=True)[1]
