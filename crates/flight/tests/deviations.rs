@@ -70,7 +70,7 @@ fn ties_of_two_rays_have_right_deviations() {
     for (erring, of_two) in cases {
         let mut draw = Draw(41);
         let (mut sums, mut sigma_tie, mut unstated) = (Normalised::default(), 0.0, 0);
-        for _ in 0..trials {
+        for trial in 0..trials {
             let (mut truth, points) = block(&mut draw, frames, ties, 8);
             shorten(&mut draw, &mut truth, of_two);
             let (mut start, mut seen) = (truth.clone(), points.clone());
@@ -79,7 +79,10 @@ fn ties_of_two_rays_have_right_deviations() {
             let options = AdjustOptions { sigma_image_px: 0.3, critical: 1e9, ..AdjustOptions::default() };
             let found = adjust(&shaken(&mut draw, &start), &seen, &options).expect("adjusted");
             sigma_tie += found.sigma_tie_px / trials as f64;
-            unstated += usize::from(!sums.add(&found, &truth, &points));
+            if !sums.add(&found, &truth, &points) {
+                eprintln!("trial {trial}: {:?}, {:?}", found.summary, found.notes);
+                unstated += 1;
+            }
         }
         let rms = sums.rms();
         eprintln!(

@@ -257,7 +257,12 @@ pub fn ties(found: &Value, verified: &Ties, pictures: &Pictures) -> String {
 
 pub fn relative(found: &Value) -> String {
     let made_by = escaped(found["made_by"].as_str().unwrap_or_default());
-    let mut out = format!("<p>{}. Made by {made_by}.</p>", line(Stage::Relative, found));
+    let mut out = format!(
+        "<p>{}. Made by {made_by}. {} of {} image points were laid upon each other in the frames.</p>",
+        line(Stage::Relative, found),
+        found["image_points_laid"],
+        found["image_points"]
+    );
     for lost in rows(found, "not_registered").iter().filter_map(Value::as_str) {
         warning(&mut out, &format!("{lost}: not registered"));
     }
