@@ -56,6 +56,9 @@ pub struct AdjustOptions {
     pub sigma_image_px: f64,
     /// 1σ of ties in the image; `None` takes it from their residuals.
     pub sigma_tie_px: Option<f64>,
+    /// What their residuals say of ties is no less than this: windows of two frames that are laid upon each other agree
+    /// more closely than they show the same ground.
+    pub least_sigma_tie_px: f64,
     /// Parameters, with a standard deviation about the value given, or free.
     pub interior: Vec<(Parameter, Option<f64>)>,
     /// Known poses in the world's frame: position with σ (metres), and direction with σ (radians).
@@ -77,6 +80,7 @@ impl Default for AdjustOptions {
         AdjustOptions {
             sigma_image_px: 1.0,
             sigma_tie_px: None,
+            least_sigma_tie_px: 0.02,
             interior: vec![(Parameter::F, None), (Parameter::K1, None)],
             rough: Vec::new(),
             critical: 4.0,
@@ -202,7 +206,7 @@ fn adjust_all(
     }
     let sigma_tie_px = match options.sigma_tie_px {
         Some(s) => s,
-        None => estimate_sigma(&problem, ties).unwrap_or(1.0),
+        None => estimate_sigma(&problem, ties).unwrap_or(1.0).max(options.least_sigma_tie_px),
     };
     for o in &mut problem.observations {
         if o.point < ties {
@@ -369,5 +373,5 @@ fn estimate_sigma(problem: &Problem, ties: usize) -> Option<f64> {
         below += own;
         2 * below >= spare
     })?;
-    Some((median / problem.share_left()).sqrt().max(0.02))
+    Some((median / problem.share_left()).sqrt())
 }

@@ -24,6 +24,11 @@ use super::{
 };
 use crate::cli::progress::Steps;
 
+/// σ of ties that were laid upon each other in the frames, at the least. Windows agree to some hundredths of a pixel; what
+/// lens and relief make of them, in which all image points of a tie agree, is not in their residuals: taken at their
+/// word, cameras of a drawn flight without grain lay 1.6 of their deviations off.
+const LEAST_LAID_PX: f64 = 0.1;
+
 /// Solve a flight: cameras.json with positions, directions, interior, residuals and check points.
 #[derive(Debug, clap::Args)]
 pub struct SolveArgs {
@@ -204,7 +209,7 @@ impl<'a> Ready<'a> {
         if record.put(Stage::Relative, &found, &stage_pages::relative(&found))? == After::Ends {
             return Ok(found);
         }
-        self.on_the_ground(&flight, &plan, &oriented.model, ties)
+        self.on_the_ground(&flight, &plan, &oriented, ties)
     }
 
     /// Ties and relative orientation by COLMAP and the rough table.
@@ -262,10 +267,11 @@ impl<'a> Ready<'a> {
         &self,
         flight: &Flight<'_>,
         plan: &runs::Plan,
-        model: &Reconstruction,
+        oriented: &Oriented,
         ties: Option<Value>,
     ) -> Result<Value> {
         let (project, record, rows) = (&self.project, &self.record, &self.frames.rows);
+        let model = &oriented.model;
         let image_px = project.gcps.as_ref().map_or(default_image_px(), |gcps| gcps.sigma_image_px);
         let (control, mut notes) = self.control(model)?;
         let world = control.world()?;
@@ -288,7 +294,9 @@ impl<'a> Ready<'a> {
 
         // MicMac has compensated the interior with the poses.
         let interior = if by_micmac { Vec::new() } else { interior(&project.adjust.free, "adjust.free")? };
-        let options = AdjustOptions { sigma_image_px: image_px, interior, rough, ..AdjustOptions::default() };
+        let usual = AdjustOptions::default();
+        let least_sigma_tie_px = if oriented.laid > 0 { LEAST_LAID_PX } else { usual.least_sigma_tie_px };
+        let options = AdjustOptions { sigma_image_px: image_px, interior, rough, least_sigma_tie_px, ..usual };
         let steps = Steps::new("adjusting", 0);
         let mut found = adjust(model, &ground, &options)?;
         drop(steps);
