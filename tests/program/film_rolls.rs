@@ -74,7 +74,8 @@ fn memory_does_not_grow_with_the_roll_and_a_frame_takes_a_moment() {
                 "{layout}, {count} frames: {clock_s:.3} s a frame by the clock, {each_s:.3} s of the processor, {:.0} MiB",
                 peak_mib(&text)
             );
-            assert!(text.starts_with(&format!("{count} frames: {count} OK")), "{text}");
+            let frames = if count == 1 { "frame" } else { "frames" };
+            assert!(text.starts_with(&format!("{count} {frames}: {count} OK")), "{text}");
             assert!(peak_mib(&text) <= 128.0, "{text}");
             assert!(cfg!(debug_assertions) || !large() || each_s <= 0.3, "{each_s} s a frame");
             peaks.push(peak_mib(&text));
