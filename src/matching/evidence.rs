@@ -87,8 +87,8 @@ pub fn pair_evidence(
     Some(evidence_of(field, (&predictions, &counted), &Line::through(field, pixels), level_px, log10_tests))
 }
 
-/// The same of predictions that are known, those that count among them. Where some candidates cannot be some GCPs every chance is counted as if
-/// nothing were forbidden, so that the evidence is never stronger than without.
+/// The same of predictions that are known, those that count among them. Where some candidates cannot be some GCPs every
+/// chance is counted as if nothing were forbidden, so that the evidence is never stronger than without.
 pub(super) fn evidence_of(
     field: &Field,
     (predictions, counted): (&Predictions, &[Counted]),

@@ -123,9 +123,9 @@ pub fn laid(model: &Reconstruction, pair: &Pair, pictures: [Picture<'_>; 2]) -> 
     pair.ties.par_iter().filter_map(one).collect()
 }
 
-/// The block with the image points where they were laid, without those that do not fit where most do, and its ties where
-/// their rays meet now; `None` when the rays meet no better than before (the median over image points): then what stands
-/// up from the ground, or moved, was laid upon each other.
+/// The block with the image points where they were laid, without those that do not fit where most do, and its ties
+/// where their rays meet now; `None` when the rays meet no better than before (the median over image points): then what
+/// stands up from the ground, or moved, was laid upon each other.
 pub fn taken(model: &Reconstruction, moved: &[Moved]) -> Option<Reconstruction> {
     let mut laid = model.clone();
     for (tied, to) in moved.iter().filter_map(|m| Some((m.tied, m.to?))) {

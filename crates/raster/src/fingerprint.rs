@@ -60,8 +60,8 @@ pub fn size_and_time(path: &Path) -> String {
     std::fs::metadata(path).map(|data| format!("{} {:?}", data.len(), time(&data))).unwrap_or_default()
 }
 
-/// The program that runs: its version, and size and time of its file. A version alone says the same of all that is built
-/// between two releases, and a number that somebody must raise is forgotten.
+/// The program that runs: its version, and size and time of its file. A version alone says the same of all that is
+/// built between two releases, and a number that somebody must raise is forgotten.
 pub fn program() -> &'static str {
     static PROGRAM: LazyLock<String> = LazyLock::new(|| {
         let file = std::env::current_exe().map(|exe| size_and_time(&exe)).unwrap_or_default();

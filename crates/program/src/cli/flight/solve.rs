@@ -24,9 +24,9 @@ use super::{
 };
 use crate::cli::progress::Steps;
 
-/// σ of ties that were laid upon each other in the frames, at the least. Windows agree to some hundredths of a pixel; what
-/// lens and relief make of them, in which all image points of a tie agree, is not in their residuals: taken at their
-/// word, cameras of a drawn flight without grain lay 1.6 of their deviations off.
+/// σ of ties that were laid upon each other in the frames, at the least. Windows agree to some hundredths of a pixel;
+/// what lens and relief make of them, in which all image points of a tie agree, is not in their residuals: taken at
+/// their word, cameras of a drawn flight without grain lay 1.6 of their deviations off.
 const LEAST_LAID_PX: f64 = 0.1;
 
 /// Solve a flight: cameras.json with positions, directions, interior, residuals and check points.
