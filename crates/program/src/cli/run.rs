@@ -158,9 +158,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let info = source.info();
     let priors = prepare::priors(info, &args.matching);
     // Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident.
-    // The first look has half of what is allowed, the second a quarter, all clusters of colour together the last. Of
-    // the work the second look, and the clusters together, may do a quarter of what the first may: they match the
-    // strongest candidates only.
+    // The first look has half of what is allowed, the second a quarter, all clusters of colour together the last. Later
+    // looks match the strongest candidates only: of the work each may do a quarter of what the first may.
     let learns = matches!(detector, MarkDetector::Paint(_))
         && args.second_pass != SecondPassArg::Never
         && args.refine == RefineArg::Always;
