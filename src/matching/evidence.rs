@@ -10,10 +10,11 @@
 //!
 //! the probability a Poisson-binomial tail over the GCPs inside the image. By the union bound the expected number of
 //! hypotheses with NFA ≤ ε in a field without the pattern is at most ε. Since the hypotheses are pairs, not fits, no
-//! freedom is spent that is not counted; a pattern is given the smallest NFA of its own pairs. Where marks agree
-//! closely it may go by the GCPs near the pair alone: the limit is shared out among four extents, nine tenths of it to
-//! all GCPs together. Where we differ: heterogeneous probabilities (tolerance and density differ from GCP to GCP), and
-//! a level set of tolerances instead of the k-th residual.
+//! freedom is spent that is not counted; a pattern is given the smallest NFA of its own pairs (of a few of them where
+//! these show that chance makes it by the thousand: `weigh.rs`). Where marks agree closely it may go by the GCPs near
+//! the pair alone: the limit is shared out among four extents, nine tenths of it to all GCPs together. Where we differ:
+//! heterogeneous probabilities (tolerance and density differ from GCP to GCP), and a level set of tolerances instead of
+//! the k-th residual.
 
 use std::cell::OnceCell;
 use std::f64::consts::SQRT_2;
