@@ -10,6 +10,9 @@ pub(super) const WORTHLESS_PROBABILITY: f64 = 0.25;
 /// stay in the nearest cache: with cells of half the radius most of a look was waiting for memory.
 const NEEDLESS_LOOK: f64 = 0.03;
 
+/// So many cells take no room that matters: among few candidates they are smaller, and looks more seldom needless.
+const CHEAP_CELLS: f64 = 32_768.0;
+
 /// Of the field's diagonal: some roundings of 2⁻²⁴ each.
 const SINGLE_PRECISION: f64 = 1e-6;
 
@@ -30,8 +33,9 @@ pub(super) struct Bitmap {
 }
 
 impl Bitmap {
-    /// False only when no candidate is within the radius of `p`, which must lie in the field.
-    #[inline]
+    /// False only when no candidate is within the radius of `p`, which must lie in the field: what looks at many
+    /// hypotheses together answer, one at a time.
+    #[cfg(test)]
     pub fn may_hold(&self, p: PixelPoint) -> bool {
         // At most 16 million cells: a conversion to 32 bits is one instruction, to 64 without sign it is many.
         let (column, row) = self.cell_of(p);
@@ -62,7 +66,8 @@ impl Bitmap {
         // As large as needless looks allow; half the radius at least, and no more than 16 million cells.
         let density = field.density();
         let rare_px = (NEEDLESS_LOOK / density).sqrt() - 2.0 * radius_px;
-        let cell_px = rare_px.max(radius_px / 2.0).max((field.area_px2() / 16e6).sqrt());
+        let cheap_px = (field.area_px2() / CHEAP_CELLS).sqrt();
+        let cell_px = rare_px.min(cheap_px).max(radius_px / 2.0).max((field.area_px2() / 16e6).sqrt());
         let columns = (field.width_px / cell_px + RIM) as usize + 2;
         let rows = (field.height_px / cell_px + RIM) as usize + 2;
         let mut bitmap = Bitmap {

@@ -2,18 +2,16 @@
 
 use autoref_raster::coords::PixelPoint;
 
-/// Points in buckets of a square grid.
+/// Points in buckets of two square grids.
 pub struct Field {
     points: Vec<PixelPoint>,
     origin: PixelPoint,
     /// Points per px² of the whole field.
     density: f64,
-    cells_per_px: f64,
-    columns: usize,
-    rows: usize,
-    /// Start of each cell's indices; one more than there are cells.
-    starts: Vec<u32>,
-    indices: Vec<u32>,
+    /// About one point a cell, for large boxes.
+    coarse: Grid,
+    /// For small ones: where points lie in clumps, a coarse cell holds most of them.
+    fine: Grid,
     pub width_px: f64,
     pub height_px: f64,
     /// [`Field::density_near`] each point.
@@ -25,6 +23,9 @@ pub struct Field {
     sizes_px: Vec<f64>,
     usual_size_px: f64,
 }
+
+/// Cells of the fine grid at least: so many stay in the near cache.
+const FINE_CELLS: f64 = 32_768.0;
 
 /// Side of a mark of which only the centre is known.
 const UNKNOWN_SIZE_PX: f64 = 8.0;
@@ -51,17 +52,17 @@ impl Field {
         // About one point a cell; never more than four million cells, nor as many along a thin field.
         let cell = (width * height / points.len().max(1) as f64).sqrt().max((width * height / 4e6).sqrt()).max(1.0);
         let cell = cell.max(width.max(height) / 4e6);
-        let (columns, rows) = ((width / cell) as usize + 1, (height / cell) as usize + 1);
+        let fine = (width * height / FINE_CELLS).sqrt().clamp(1.0, cell.max(1.0)).max(width.max(height) / 4e6);
         let density = points.len() as f64 / (width * height);
+        let origin = PixelPoint { x: low.0, y: low.1 };
+        let grid = |cell: f64| Grid::new(&points, origin, (width, height), cell);
+        let (coarse, fine) = (grid(cell), grid(fine));
         let mut field = Field {
             points,
-            origin: PixelPoint { x: low.0, y: low.1 },
+            origin,
             density,
-            cells_per_px: 1.0 / cell,
-            columns,
-            rows,
-            starts: vec![0; columns * rows + 1],
-            indices: Vec::new(),
+            coarse,
+            fine,
             width_px: width,
             height_px: height,
             densities: Vec::new(),
@@ -70,7 +71,6 @@ impl Field {
             sizes_px: Vec::new(),
             usual_size_px: UNKNOWN_SIZE_PX,
         };
-        field.fill();
         field.measure_neighbours();
         field.densities = field.points.iter().map(|p| field.density_near(*p)).collect();
         field
@@ -111,37 +111,6 @@ impl Field {
         (p.x - q.x).hypot(p.y - q.y) < (self.place_px(one) + self.place_px(other)) / 2.0
     }
 
-    fn fill(&mut self) {
-        let cells: Vec<usize> = self.points.iter().map(|p| self.cell(*p)).collect();
-        for &cell in &cells {
-            self.starts[cell + 1] += 1;
-        }
-        for i in 1..self.starts.len() {
-            self.starts[i] += self.starts[i - 1];
-        }
-        let mut next = self.starts.clone();
-        self.indices = vec![0; self.points.len()];
-        for (i, &cell) in cells.iter().enumerate() {
-            self.indices[next[cell] as usize] = i as u32;
-            next[cell] += 1;
-        }
-    }
-
-    // At most some million cells: a conversion to 32 bits is one instruction, to 64 without sign it is many.
-    #[inline]
-    fn column(&self, x: f64) -> usize {
-        (((x - self.origin.x) * self.cells_per_px).max(0.0) as i32 as usize).min(self.columns - 1)
-    }
-
-    #[inline]
-    fn row(&self, y: f64) -> usize {
-        (((y - self.origin.y) * self.cells_per_px).max(0.0) as i32 as usize).min(self.rows - 1)
-    }
-
-    fn cell(&self, p: PixelPoint) -> usize {
-        self.row(p.y) * self.columns + self.column(p.x)
-    }
-
     pub fn points(&self) -> &[PixelPoint] {
         &self.points
     }
@@ -168,10 +137,11 @@ impl Field {
 
     #[inline]
     pub fn contains(&self, p: PixelPoint) -> bool {
-        p.x >= self.origin.x
-            && p.y >= self.origin.y
-            && p.x <= self.origin.x + self.width_px
-            && p.y <= self.origin.y + self.height_px
+        // Without a branch: it is asked of many places that lie in and out in turn.
+        (p.x >= self.origin.x)
+            & (p.y >= self.origin.y)
+            & (p.x <= self.origin.x + self.width_px)
+            & (p.y <= self.origin.y + self.height_px)
     }
 
     /// Calls `visit` with every point in the square of half-side `reach_px` about `p`, and some more.
@@ -182,14 +152,8 @@ impl Field {
     /// Calls `visit` with every point of a box, and some more.
     #[inline]
     pub fn in_box(&self, x: (f64, f64), y: (f64, f64), mut visit: impl FnMut(usize, PixelPoint)) {
-        let (left, right) = (self.column(x.0), self.column(x.1));
-        for row in self.row(y.0)..=self.row(y.1) {
-            let start = self.starts[row * self.columns + left] as usize;
-            let end = self.starts[row * self.columns + right + 1] as usize;
-            for &i in &self.indices[start..end] {
-                visit(i as usize, self.points[i as usize]);
-            }
-        }
+        let grid = if (y.1 - y.0) * self.coarse.cells_per_px < 1.0 { &self.fine } else { &self.coarse };
+        grid.in_box(x, y, |i| visit(i as usize, self.points[i as usize]));
     }
 
     /// The nearest point within `reach_px`; the lower index when two are equally near.
@@ -269,6 +233,64 @@ impl Field {
     }
 }
 
+/// Indices of points by the cell that they lie in.
+struct Grid {
+    origin: PixelPoint,
+    cells_per_px: f64,
+    columns: usize,
+    rows: usize,
+    /// Start of each cell's indices; one more than there are cells.
+    starts: Vec<u32>,
+    indices: Vec<u32>,
+}
+
+impl Grid {
+    fn new(points: &[PixelPoint], origin: PixelPoint, (width, height): (f64, f64), cell_px: f64) -> Grid {
+        let (columns, rows) = ((width / cell_px) as usize + 1, (height / cell_px) as usize + 1);
+        let starts = vec![0; columns * rows + 1];
+        let mut grid = Grid { origin, cells_per_px: 1.0 / cell_px, columns, rows, starts, indices: Vec::new() };
+        let cells: Vec<usize> = points.iter().map(|p| grid.cell(*p)).collect();
+        for &cell in &cells {
+            grid.starts[cell + 1] += 1;
+        }
+        for i in 1..grid.starts.len() {
+            grid.starts[i] += grid.starts[i - 1];
+        }
+        let mut next = grid.starts.clone();
+        grid.indices = vec![0; points.len()];
+        for (i, &cell) in cells.iter().enumerate() {
+            grid.indices[next[cell] as usize] = i as u32;
+            next[cell] += 1;
+        }
+        grid
+    }
+
+    // At most some million cells: a conversion to 32 bits is one instruction, to 64 without sign it is many.
+    #[inline]
+    fn column(&self, x: f64) -> usize {
+        (((x - self.origin.x) * self.cells_per_px).max(0.0) as i32 as usize).min(self.columns - 1)
+    }
+
+    #[inline]
+    fn row(&self, y: f64) -> usize {
+        (((y - self.origin.y) * self.cells_per_px).max(0.0) as i32 as usize).min(self.rows - 1)
+    }
+
+    fn cell(&self, p: PixelPoint) -> usize {
+        self.row(p.y) * self.columns + self.column(p.x)
+    }
+
+    #[inline]
+    fn in_box(&self, x: (f64, f64), y: (f64, f64), mut visit: impl FnMut(u32)) {
+        let (left, right) = (self.column(x.0), self.column(x.1));
+        for row in self.row(y.0)..=self.row(y.1) {
+            let start = self.starts[row * self.columns + left] as usize;
+            let end = self.starts[row * self.columns + right + 1] as usize;
+            self.indices[start..end].iter().for_each(|&i| visit(i));
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -279,7 +301,9 @@ mod tests {
     fn a_point_far_away_makes_no_field_of_all_cells_on_the_way() {
         let points = [(0.0, 0.0), (40.0, 3.0), (1e20, 5.0)].map(|(x, y)| PixelPoint { x, y });
         let field = Field::new(points.to_vec(), None);
-        assert!(field.starts.len() < 10_000_000, "{} cells", field.starts.len());
+        for grid in [&field.coarse, &field.fine] {
+            assert!(grid.starts.len() < 10_000_000, "{} cells", grid.starts.len());
+        }
     }
 
     #[test]

@@ -92,6 +92,15 @@ impl Priors {
     }
 }
 
+impl Priors {
+    /// Whether the scale narrows a search: known to a factor of ten. What the size of marks says of it is a hundred
+    /// times wider.
+    fn narrow_by_scale(&self) -> bool {
+        const NARROW: f64 = 10.0;
+        self.gsd_m_per_px.is_some_and(|(finest, coarsest)| coarsest <= NARROW * finest)
+    }
+}
+
 /// A pattern that was found, accepted or not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pattern {

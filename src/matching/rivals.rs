@@ -7,6 +7,7 @@
 use rayon::prelude::*;
 
 use crate::matching::Pattern;
+use crate::matching::looks::Bar;
 use crate::matching::screening::Screening;
 use crate::matching::search::{GcpPair, Hypothesis, Search};
 use autoref_raster::random::mix;
@@ -28,8 +29,8 @@ const MOST_LOOKS: u64 = 50_000_000;
 const RIVAL_MISSED: f64 = 1e-5;
 
 impl Search<'_> {
-    /// The most likely rivals of `pattern`, and the number of hypotheses tried. `tried` of the `pairs` and of the
-    /// hypotheses have been looked at by the search.
+    /// The most likely rivals of `pattern`, and the number of hypotheses tried. `tried` of the `pairs` have been looked
+    /// at by the search, for the work of so many hypotheses with every look.
     pub fn rivals(&self, pattern: &Pattern, pairs: &[GcpPair], tried: (usize, u64)) -> (Vec<Pattern>, u64) {
         let (mut rivals, few) = self.on_the_same_marks(pattern, pairs);
         let (others, many) = self.of_the_same_gcps(pattern, &pairs[tried.0..], (tried.1 / 2).max(FEWEST_TRIED));
@@ -42,9 +43,11 @@ impl Search<'_> {
         let mut marks: Vec<usize> = pattern.pairs.iter().map(|pair| pair.0).collect();
         let few = marks.len().min(MOST_MARKS);
         let cost = |pairs: usize, marks: usize| (pairs * marks * marks) as u64;
+        let mut first_looks = Screening::EVERY_LOOK;
         if cost(pairs.len(), few) * self.gcps.len() as u64 > MOST_LOOKS {
             let others = self.gcps.len() - 2;
-            let hits = marks.len().div_ceil(2).saturating_sub(2).max(1);
+            let half = marks.len().div_ceil(2);
+            let hits = half.saturating_sub(2).max(1);
             let screening = Screening::shortest(hits, others, pairs.len(), RIVAL_MISSED);
             if cost(screening.pairs, marks.len()) < cost(pairs.len(), few) {
                 let mut drawn: Vec<&GcpPair> = pairs.iter().collect();
@@ -52,12 +55,15 @@ impl Search<'_> {
                 drawn.truncate(screening.pairs);
                 return self.laid_on(&marks, drawn, screening.first_looks, pattern);
             }
+            // Of a rival's marks those among the few that are tried; half of them, where these are drawn.
+            let tried = if marks.len() > few { few / 4 } else { half };
+            first_looks = Screening::of_all_pairs(hits, others, tried * (tried - 1) / 2, RIVAL_MISSED);
         }
         if marks.len() > few {
             marks.sort_by_cached_key(|&mark| mix(mark as u64));
             marks.truncate(few);
         }
-        self.laid_on(&marks, pairs.iter().collect(), Screening::EVERY_LOOK, pattern)
+        self.laid_on(&marks, pairs.iter().collect(), first_looks, pattern)
     }
 
     fn laid_on(
@@ -67,7 +73,12 @@ impl Search<'_> {
         first_looks: usize,
         pattern: &Pattern,
     ) -> (Vec<Pattern>, u64) {
-        let among = |pair| (pair, self.try_pair_among(pair, marks, first_looks));
+        let bar = Bar::of(REFINED);
+        let among = |pair| {
+            let (found, tried) = self.try_pair_among(pair, marks, (first_looks, &bar));
+            found.iter().filter(|h| !self.says(&pattern.similarity, pair, h)).for_each(|h| bar.raise(h.score));
+            (pair, (found, tried))
+        };
         let found: Vec<_> = pairs.into_par_iter().map(among).collect();
         self.refined(pattern, found.into_iter())
     }

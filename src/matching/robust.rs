@@ -56,7 +56,7 @@ impl Default for RobustMatcher {
     fn default() -> Self {
         RobustMatcher {
             max_false_alarms: 1e-4,
-            budget_hypotheses: 150_000_000,
+            budget_hypotheses: 100_000_000,
             tries: 1.0,
             time_limit: TimeLimit::default(),
         }
@@ -189,6 +189,11 @@ struct Work {
 impl Work {
     fn each(&self) -> u64 {
         1 + self.looks / LOOKS_OF_ONE
+    }
+
+    /// As many hypotheses as the same work does that take every look.
+    fn as_with_every_look(&self, hypotheses: u64) -> u64 {
+        hypotheses * self.each() / (1 + self.gcps / LOOKS_OF_ONE)
     }
 
     fn hypotheses_left(&self) -> u64 {
@@ -364,7 +369,8 @@ impl RobustMatcher {
         for _ in 0..MOST_CHALLENGES {
             found.sharpen(&search, &pairs, limit);
             let Some(best) = found.best.clone().filter(|best| best.log10_false_alarms <= limit) else { break };
-            let (rivals, tried) = search.rivals(&best, &pairs, (done, found.effort.hypotheses_tried));
+            let spent = work.as_with_every_look(found.effort.hypotheses_tried);
+            let (rivals, tried) = search.rivals(&best, &pairs, (done, spent));
             found.effort.hypotheses_tried += tried;
             rivals.into_iter().for_each(|rival| found.take(rival, &search));
             if found.best.as_ref().is_some_and(|now| search.same_claim(now, &best)) {

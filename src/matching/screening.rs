@@ -36,6 +36,19 @@ impl Screening {
         }
         best
     }
+
+    /// The fewest first looks with which, all pairs tried, no more than this share of the patterns goes unnoticed that
+    /// hold so many of the pairs and have marks for `hits` of the `others`.
+    pub fn of_all_pairs(hits: usize, others: usize, pairs_of_pattern: usize, missed: f64) -> usize {
+        let mut none_hit = 1.0f64;
+        for looks in 1..=others.saturating_sub(hits) {
+            none_hit *= (others - hits - looks + 1) as f64 / (others - looks + 1) as f64;
+            if none_hit.powi(pairs_of_pattern as i32) <= missed {
+                return looks;
+            }
+        }
+        Screening::EVERY_LOOK
+    }
 }
 
 #[cfg(test)]
@@ -72,6 +85,34 @@ mod tests {
                 "{noticed} of {trials}, {hits} of {others}, {screening:?}"
             );
         }
+    }
+
+    /// Rivals of few marks among many points, their pairs laid out at random: how often the first looks of none hit.
+    #[test]
+    fn of_a_pattern_whose_pairs_are_all_tried_one_is_noticed() {
+        let mut random = SplitMix64(5);
+        for (marks, others, missed) in [(4, 58, 0.01), (6, 198, 0.01), (12, 198, 0.001)] {
+            let (hits, pairs) = (marks - 2, marks * (marks - 1) / 2);
+            let looks = Screening::of_all_pairs(hits, others, pairs, missed);
+            assert!(looks < others - hits, "{looks} of {others}");
+            let trials = 20_000;
+            let unnoticed = (0..trials)
+                .filter(|_| {
+                    (0..pairs).all(|_| {
+                        let mut left = hits;
+                        (0..looks).all(|look| {
+                            let is_hit = random.unit() * ((others - look) as f64) < left as f64;
+                            left -= usize::from(is_hit);
+                            !is_hit
+                        })
+                    })
+                })
+                .count();
+            let most = missed * f64::from(trials);
+            assert!(unnoticed as f64 <= most + 3.0 * most.sqrt(), "{unnoticed} of {trials}, {looks} looks");
+        }
+        assert_eq!(Screening::of_all_pairs(1, 198, 3, 1e-5), Screening::EVERY_LOOK);
+        assert_eq!(Screening::of_all_pairs(3, 2, 3, 1e-5), Screening::EVERY_LOOK);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
 use crate::matching::draws::Draws;
 use crate::matching::evidence::{CLOSEST_PX, log10_of_levels, log10_tail, spread_from_pair};
 use crate::matching::field::Field;
-use crate::matching::looks::Looking;
+use crate::matching::looks::{Bar, Looking};
 use crate::matching::names::Names;
 use crate::matching::screening::Screening;
 use autoref_raster::coords::{MapPoint, PixelPoint};
@@ -99,12 +99,35 @@ pub(super) struct Target {
     radius_px: f64,
     pub bitmap: usize,
     /// How surprising a hit is where candidates lie as densely as in the whole field.
-    surprise: f64,
+    pub surprise: f64,
 }
 
 /// −ln of how often chance puts a candidate within a radius, where so many lie on a px².
 fn surprise(density: f64, radius_px: f64) -> f64 {
     -(-(-density * (std::f64::consts::PI * radius_px * radius_px)).exp_m1()).ln()
+}
+
+/// A pair of GCPs laid on two candidates.
+#[derive(Clone, Copy)]
+pub(super) struct Laid {
+    /// The candidates, by index.
+    pub ends: (usize, usize),
+    /// Where the first is.
+    pub from: PixelPoint,
+    /// See [`Span::factor`].
+    pub z: (f64, f64),
+}
+
+impl Laid {
+    /// Where a target is then.
+    #[inline(always)]
+    pub fn place(&self, target: &Target) -> PixelPoint {
+        let Laid { from, z, .. } = self;
+        PixelPoint {
+            x: from.x + z.0 * target.east - z.1 * target.north,
+            y: from.y - (z.0 * target.north + z.1 * target.east),
+        }
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -165,10 +188,10 @@ fn gcp_pairs(field: &Field, gcps: &[MapPoint], priors: &Priors) -> (Vec<GcpPair>
 
 /// Which pair is tried first.
 fn in_turn(p: &GcpPair, q: &GcpPair, priors: &Priors) -> std::cmp::Ordering {
-    if priors.gsd_m_per_px.is_some() {
+    if priors.narrow_by_scale() {
         return p.cost.total_cmp(&q.cost).then((p.a, p.b).cmp(&(q.a, q.b)));
     }
-    // Every pair costs the same: a fixed shuffle keeps one bad point from spoiling the start.
+    // Every pair costs about the same: a fixed shuffle keeps one bad point from spoiling the start.
     let shuffled = |p: &GcpPair| ((p.a * 7919 + p.b) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     shuffled(p).cmp(&shuffled(q)).then((p.a, p.b).cmp(&(q.a, q.b)))
 }
@@ -228,7 +251,7 @@ impl<'a> Search<'a> {
     /// pairs and all looks where the order is not random.
     pub fn screening(&self, log10_limit: f64, pairs: usize) -> Screening {
         let whole = Screening { pairs, first_looks: Screening::EVERY_LOOK };
-        if self.priors.gsd_m_per_px.is_some() || self.gcps.len() < 3 {
+        if self.priors.narrow_by_scale() || self.gcps.len() < 3 {
             return whole;
         }
         // The fewest marks that could ever be believed: each as near as can be, all points in the image.
@@ -292,8 +315,8 @@ impl<'a> Search<'a> {
         if targets.len() < fewest {
             return (Vec::new(), 0);
         }
-        let demand = Demand { fewest, first_looks };
-        let per_point = |i: usize| self.try_point(pair, &targets, demand, i);
+        let (demand, bar) = (Demand { fewest, first_looks }, Bar::of(REFINED_PER_PAIR));
+        let per_point = |i: usize| self.try_point(pair, &targets, (demand, &bar), i);
         self.over_chosen_points(pair, budget, per_point, keep_best)
     }
 
@@ -337,20 +360,25 @@ impl<'a> Search<'a> {
         });
     }
 
-    /// The same with no other points than these at the two ends of the pair.
-    pub fn try_pair_among(&self, pair: &GcpPair, points: &[usize], first_looks: usize) -> (Vec<Hypothesis>, u64) {
+    /// The same with no other points than these at the two ends of the pair, and without what stays below a bar.
+    pub fn try_pair_among(
+        &self,
+        pair: &GcpPair,
+        points: &[usize],
+        (first_looks, above): (usize, &Bar<'_>),
+    ) -> (Vec<Hypothesis>, u64) {
         let targets = self.targets(pair, self.tolerance_px);
         let demand = Demand { fewest: self.fewest_hits(&targets, self.tolerance_px), first_looks };
         if targets.len() < demand.fewest {
             return (Vec::new(), 0);
         }
-        let (mut all, mut tried) = (Vec::new(), 0);
+        let (mut all, mut tried, bar) = (Vec::new(), 0, Bar::under(above, REFINED_PER_PAIR));
         for &i in points.iter().filter(|i| self.allows(**i, pair.a)) {
             let from = self.field.points()[i];
             let ends = points
                 .iter()
                 .filter(|&&j| j != i && self.allows(j, pair.b) && self.may_span(pair, from, self.field.points()[j]));
-            let mut looking = Looking::new(self, pair, demand, i);
+            let mut looking = Looking::new(self, pair, (demand, &bar), i);
             for &j in ends {
                 tried += 1;
                 looking.take(&targets, j);
@@ -390,7 +418,7 @@ impl<'a> Search<'a> {
     }
 
     /// Fewer further hits than this could never be believed, however close they are.
-    fn fewest_hits(&self, targets: &[Target], tolerance_px: f64) -> usize {
+    pub(super) fn fewest_hits(&self, targets: &[Target], tolerance_px: f64) -> usize {
         let density = self.field.density();
         let closest = |t: &Target| {
             let radius = t.radius_px / tolerance_px * CLOSEST_PX;
@@ -404,7 +432,13 @@ impl<'a> Search<'a> {
             .clamp(1, 4)
     }
 
-    fn try_point(&self, pair: &GcpPair, targets: &[Target], demand: Demand, i: usize) -> (Vec<Hypothesis>, u64) {
+    fn try_point(
+        &self,
+        pair: &GcpPair,
+        targets: &[Target],
+        (demand, bar): (Demand, &Bar<'_>),
+        i: usize,
+    ) -> (Vec<Hypothesis>, u64) {
         if !self.allows(i, pair.a) {
             return (Vec::new(), 0);
         }
@@ -423,7 +457,7 @@ impl<'a> Search<'a> {
                 return;
             }
             tried += 1;
-            looking.get_or_insert_with(|| Looking::new(self, pair, demand, i)).take(targets, j);
+            looking.get_or_insert_with(|| Looking::new(self, pair, (demand, bar), i)).take(targets, j);
         });
         let best = looking.zip(in_reach.get()).map_or_else(Vec::new, |(looking, targets)| looking.best(targets));
         (best, tried)
@@ -495,38 +529,40 @@ impl<'a> Search<'a> {
         })
     }
 
+    /// How many targets a hypothesis puts into the field.
+    pub(super) fn inside(&self, laid: Laid, targets: &[Target]) -> usize {
+        targets.iter().map(|target| usize::from(self.field.contains(laid.place(target)))).sum()
+    }
+
+    /// The candidate that a hypothesis has for a target.
+    #[inline]
+    pub(super) fn hit(&self, laid: Laid, target: &Target) -> Option<usize> {
+        let p = laid.place(target);
+        let (candidate, _) =
+            self.field.contains(p).then(|| self.nearest_allowed(p, target.radius_px, target.gcp))??;
+        (candidate != laid.ends.0 && candidate != laid.ends.1).then_some(candidate)
+    }
+
     /// Sum of the hits' surprise less that of choosing them, or `None` when too few are hit. A candidate counts for one
     /// GCP only, and for little where candidates crowd: otherwise the best hypotheses would be those that squeeze all
-    /// GCPs into one clump.
+    /// GCPs into one clump. `may_hit`: the targets that a candidate may be near, in their order; `inside`: how many are
+    /// in the field.
     pub(super) fn verify(
         &self,
-        ends: (usize, usize),
-        z: (f64, f64),
+        laid: Laid,
         targets: &[Target],
+        (may_hit, inside): (impl Iterator<Item = usize>, usize),
         demand: Demand,
     ) -> Option<f64> {
         let Demand { fewest, first_looks } = demand;
-        let from = self.field.points()[ends.0];
-        let (mut hits, mut inside, mut surprising) = (0usize, 0usize, 0.0);
+        let (mut hits, mut surprising) = (0usize, 0.0);
         let mut hit = [u32::MAX; MOST_HITS];
-        for (k, target) in targets.iter().enumerate() {
-            if hits + (targets.len() - k) < fewest || hits == MOST_HITS || (hits == 0 && k >= first_looks) {
+        for k in may_hit {
+            if hits == MOST_HITS || (hits == 0 && k >= first_looks) {
                 break;
             }
-            let p = PixelPoint {
-                x: from.x + z.0 * target.east - z.1 * target.north,
-                y: from.y - (z.0 * target.north + z.1 * target.east),
-            };
-            if !self.field.contains(p) {
-                continue;
-            }
-            inside += 1;
-            if !self.bitmaps[target.bitmap].may_hold(p) {
-                continue;
-            }
-            if let Some((candidate, _)) = self.nearest_allowed(p, target.radius_px, target.gcp)
-                && candidate != ends.0
-                && candidate != ends.1
+            let target = &targets[k];
+            if let Some(candidate) = self.hit(laid, target)
                 && !hit[..hits].contains(&(candidate as u32))
             {
                 hit[hits] = candidate as u32;
@@ -539,8 +575,13 @@ impl<'a> Search<'a> {
                 };
             }
         }
-        (hits >= fewest).then(|| surprising - hits as f64 * (std::f64::consts::E * inside as f64 / hits as f64).ln())
+        (hits >= fewest).then(|| surprising - hits as f64 * cost_of_choice(hits, inside))
     }
+}
+
+/// What it costs, for each of so many hits, to have chosen them among the targets in the field: −ln of the chance.
+pub(super) fn cost_of_choice(hits: usize, inside: usize) -> f64 {
+    (std::f64::consts::E * inside.max(hits) as f64 / hits as f64).ln()
 }
 
 pub(super) fn keep_best(hypotheses: &mut Vec<Hypothesis>) {

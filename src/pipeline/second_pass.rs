@@ -18,7 +18,7 @@ const MOST_TEACHERS: usize = 12;
 /// ground gives thousands of candidates, and to refuse them would take minutes. So many of the strongest are matched,
 /// or so many for each point.
 const MOST_LEARNED: usize = 200;
-const MOST_LEARNED_EACH: usize = 5;
+const MOST_LEARNED_EACH: usize = 2;
 
 /// What the second pass did.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -239,7 +239,7 @@ mod tests {
         };
         // 0, 1, …, 6, 0, 1, … : ties at the cut, early and late.
         let mut all: Vec<Candidate> = (0..700).map(|i| candidate(f64::from(i % 7))).collect();
-        keep_strongest(&mut all, 60);
+        keep_strongest(&mut all, 150);
         assert_eq!(all.len(), 300);
         assert_eq!(all.iter().filter(|c| c.score == Some(5.0)).count(), 100);
         assert_eq!((all[0].score, all[1].score, all[2].score), (Some(4.0), Some(5.0), Some(6.0)));
