@@ -8,7 +8,7 @@
 //! survives is settled and weighed as every other pattern; nothing is believed because it grew.
 
 use crate::matching::Pattern;
-use crate::matching::search::{GcpPair, Search};
+use crate::matching::search::{GcpPair, Search, Tried};
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::similarity::fit_equal_weights;
 
@@ -169,16 +169,17 @@ impl Search<'_> {
     fn grow_pair(&self, pair: &GcpPair, goals: &[Goal], budget: u64) -> (Vec<Shoot>, u64) {
         let to_b = self.map_offset(pair);
         let from_point = |i: usize| {
-            let (mut shoots, mut tried) = (Vec::new(), 0);
+            let (mut shoots, mut tried) = (Vec::new(), Tried::default());
             let seed = Shoot::new().with(i as u32, pair.a as u32, (0.0, 0.0), self.field.points()[i]);
             self.ends_of(pair, i, |j, to| {
-                tried += 1;
+                tried.hypotheses += 1;
                 self.follow(seed.with(j as u32, pair.b as u32, to_b, to), goals, &mut shoots);
             });
             keep_best(&mut shoots);
             (shoots, tried)
         };
-        self.over_chosen_points(pair, budget, from_point, keep_best)
+        let (shoots, tried) = self.over_chosen_points(pair, budget, from_point, keep_best);
+        (shoots, tried.hypotheses)
     }
 
     /// Takes in one GCP after the other as long as it is more likely a pattern than not.

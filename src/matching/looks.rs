@@ -12,13 +12,15 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::matching::bitmap::Bitmap;
 use crate::matching::search::{
-    Demand, GcpPair, Hypothesis, Laid, REFINED_PER_PAIR, Search, Span, Target, cost_of_choice, keep_best,
+    Demand, GcpPair, Hypothesis, Laid, REFINED_PER_PAIR, Search, Span, Target, Tried, cost_of_choice, keep_best,
 };
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::simd::{Kernel, widest};
 
 /// Hypotheses that a look is taken for together.
 const LANES: usize = 16;
+/// Looks of which one takes as long as to seek the candidate that is nearest to a target.
+const LOOKS_OF_HIT: usize = 40;
 /// Hypotheses of a batch.
 const BATCH: usize = 64;
 
@@ -27,19 +29,22 @@ pub(super) struct Looking<'s> {
     fresh: Batch,
     seen: Seen,
     later: Later<'s>,
+    hypotheses: u64,
 }
 
 impl<'s> Looking<'s> {
     /// With point `i` at the first end of the pair.
     pub fn new(search: &'s Search<'s>, pair: &GcpPair, (demand, bar): (Demand, &'s Bar<'s>), i: usize) -> Self {
         let view = View { search, span: search.span(pair), i };
-        let later = Later { view, demand, bar, noticed: Batch::new(), seen: Seen::default(), best: Vec::new() };
-        Looking { fresh: Batch::new(), seen: Seen::default(), later }
+        let later =
+            Later { view, demand, bar, noticed: Batch::new(), seen: Seen::default(), best: Vec::new(), looks: 0 };
+        Looking { fresh: Batch::new(), seen: Seen::default(), later, hypotheses: 0 }
     }
 
     /// The hypothesis with point `j` at the second end.
     #[inline]
     pub fn take(&mut self, targets: &[Target], j: usize) {
+        self.hypotheses += 1;
         if self.later.demand.first_looks >= targets.len() {
             self.later.take(targets, j);
         } else if self.fresh.push(j) == BATCH {
@@ -49,12 +54,13 @@ impl<'s> Looking<'s> {
 
     #[inline(never)]
     fn first_looks(&mut self, targets: &[Target]) {
-        let Looking { fresh, seen, later } = self;
+        let Looking { fresh, seen, later, .. } = self;
         let first = &targets[..later.demand.first_looks];
         let view = later.view;
         fresh.drain(|ends, used| {
             seen.look(&view, first, ends);
             for lane in 0..used {
+                later.looks += (first.len() + LOOKS_OF_HIT * seen.count(lane)) as u64;
                 let hypothesis = view.hypothesis(ends[lane]);
                 // Most of what may be a hit here is none: to ask costs less than all the other looks.
                 if seen.of(lane).any(|k| view.search.hit(hypothesis, &first[k]).is_some()) {
@@ -64,14 +70,15 @@ impl<'s> Looking<'s> {
         });
     }
 
-    /// The most surprising of all that were taken, best first.
-    pub fn best(mut self, targets: &[Target]) -> Vec<Hypothesis> {
+    /// The most surprising of all that were taken, best first, and what that took. The looks are counted so that they
+    /// do not depend on what was passed over.
+    pub fn best(mut self, targets: &[Target]) -> (Vec<Hypothesis>, Tried) {
         if self.fresh.len > 0 {
             self.first_looks(targets);
         }
         self.later.all_looks(targets);
         keep_best(&mut self.later.best);
-        self.later.best
+        (self.later.best, Tried { hypotheses: self.hypotheses, looks: self.later.looks })
     }
 }
 
@@ -83,6 +90,8 @@ struct Later<'s> {
     noticed: Batch,
     seen: Seen,
     best: Vec<Hypothesis>,
+    /// Looks taken.
+    looks: u64,
 }
 
 impl Later<'_> {
@@ -95,11 +104,19 @@ impl Later<'_> {
 
     #[inline(never)]
     fn all_looks(&mut self, targets: &[Target]) {
-        let Later { view, demand, bar, noticed, seen, best } = self;
+        let Later { view, demand, bar, noticed, seen, best, looks } = self;
         noticed.drain(|ends, used| {
             seen.look(view, targets, ends);
             for lane in 0..used {
-                let Some(hypothesis) = view.scored((seen, lane), targets, ends[lane], (*demand, bar)) else { continue };
+                let count = seen.count(lane);
+                *looks += targets.len() as u64;
+                if count < demand.fewest {
+                    continue;
+                }
+                *looks += (targets.len() + LOOKS_OF_HIT * count) as u64;
+                let Some(hypothesis) = view.scored((seen, lane, count), targets, ends[lane], (*demand, bar)) else {
+                    continue;
+                };
                 bar.raise(hypothesis.score);
                 best.push(hypothesis);
                 if best.len() >= 4 * REFINED_PER_PAIR {
@@ -276,15 +293,11 @@ impl<'a> View<'a> {
     #[inline]
     fn scored(
         &self,
-        (seen, lane): (&Seen, usize),
+        (seen, lane, count): (&Seen, usize, usize),
         targets: &[Target],
         end: u32,
         (demand, bar): (Demand, &Bar<'_>),
     ) -> Option<Hypothesis> {
-        let count = seen.count(lane);
-        if count < demand.fewest {
-            return None;
-        }
         let laid = self.hypothesis(end);
         let inside = self.search.inside(laid, targets);
         if !bar.lets_by(most_score(targets, seen.of(lane), (count, inside))) {
@@ -433,7 +446,7 @@ mod tests {
                     expected.extend(score.map(|score| Hypothesis { score, i: i as u32, j: j as u32 }));
                 });
             }
-            passed += tried as usize - expected.len();
+            passed += tried.hypotheses as usize - expected.len();
             keep_best(&mut expected);
             let of = |h: &Hypothesis| (h.i, h.j, h.score.to_bits());
             assert_eq!(best.iter().map(of).collect::<Vec<_>>(), expected.iter().map(of).collect::<Vec<_>>());

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use crate::matching::Pattern;
 use crate::matching::looks::Bar;
 use crate::matching::screening::Screening;
-use crate::matching::search::{GcpPair, Hypothesis, Search};
+use crate::matching::search::{GcpPair, Hypothesis, Search, Tried};
 use autoref_raster::random::mix;
 use autoref_solve::Similarity;
 
@@ -102,12 +102,12 @@ impl Search<'_> {
     fn refined<'p>(
         &self,
         pattern: &Pattern,
-        found: impl Iterator<Item = (&'p GcpPair, (Vec<Hypothesis>, u64))>,
+        found: impl Iterator<Item = (&'p GcpPair, (Vec<Hypothesis>, Tried))>,
     ) -> (Vec<Pattern>, u64) {
         let mut tried = 0;
         let mut best: Vec<(&GcpPair, Hypothesis)> = Vec::new();
         for (pair, (hypotheses, n)) in found {
-            tried += n;
+            tried += n.hypotheses;
             best.extend(
                 hypotheses.into_iter().map(|h| (pair, h)).filter(|(p, h)| !self.says(&pattern.similarity, p, h)),
             );

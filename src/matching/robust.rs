@@ -12,7 +12,7 @@ use crate::gcp::{Gcp, GcpRole};
 use crate::matching::explain::explain;
 use crate::matching::grow::GROWN_FROM;
 use crate::matching::names::Names;
-use crate::matching::search::{GcpPair, LOOKS_OF_ONE, Search};
+use crate::matching::search::{GcpPair, LOOKS_OF_ONE, Search, Tried};
 use crate::matching::{Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, Solved, TimeLimit};
 use autoref_raster::coords::MapPoint;
 
@@ -176,33 +176,43 @@ fn log10_closer_by_chance(best: &Pattern, rival: &Pattern, gcps: usize) -> f64 {
     (gcps as f64).powi(2).log10() + ln_chance / std::f64::consts::LN_10
 }
 
-/// What a search has done of what it may do, counted as hypotheses: what a long list adds to each of them is in it, and
+/// What a search has done of what it may do, counted as hypotheses: the looks that each of them took are in it, and
 /// what a pattern costs that is refined.
 struct Work {
     done: u64,
     allowed: u64,
     gcps: u64,
-    /// Looks at other GCPs that most hypotheses take.
+    /// What pairs of GCPs took so far.
+    tried: Tried,
+    /// Looks at other GCPs that a hypothesis takes, before any is tried.
     looks: u64,
 }
 
 impl Work {
+    /// What so many hypotheses cost with their looks.
+    fn cost(tried: Tried) -> u64 {
+        tried.hypotheses + tried.looks / LOOKS_OF_ONE
+    }
+
+    /// What a hypothesis costs, so far as it is known.
     fn each(&self) -> u64 {
-        1 + self.looks / LOOKS_OF_ONE
+        let expected = Tried { hypotheses: 1, looks: self.looks };
+        Work::cost(self.tried).checked_div(self.tried.hypotheses).unwrap_or(0).max(Work::cost(expected))
     }
 
     /// As many hypotheses as the same work does that take every look.
-    fn as_with_every_look(&self, hypotheses: u64) -> u64 {
-        hypotheses * self.each() / (1 + self.gcps / LOOKS_OF_ONE)
+    fn as_with_every_look(&self, tried: Tried) -> u64 {
+        Work::cost(tried) / Work::cost(Tried { hypotheses: 1, looks: self.gcps })
     }
 
     fn hypotheses_left(&self) -> u64 {
         self.allowed.saturating_sub(self.done) / self.each()
     }
 
-    fn tried(&mut self, hypotheses: u64) {
+    fn tried(&mut self, tried: Tried) {
+        self.tried = self.tried + tried;
         // Laying out a pair of GCPs against all others costs too.
-        self.done += hypotheses * self.each() + self.gcps;
+        self.done += Work::cost(tried) + self.gcps;
     }
 
     /// Some hundred weighings, each of every point in the image against every other.
@@ -332,7 +342,8 @@ impl RobustMatcher {
         let screening = search.screening(limit, pairs.len());
         let gcps = gcps.len() as u64;
         let looks = gcps.min(screening.first_looks as u64);
-        let mut work = Work { done: found.effort.hypotheses_tried, allowed: budget, gcps, looks };
+        let done_before = found.effort.hypotheses_tried;
+        let mut work = Work { done: done_before, allowed: budget, gcps, tried: Tried::default(), looks };
         for pair in &pairs {
             // One decade below the limit chance has no say any more; repetition is asked about below. A pattern that
             // leaves out most of what is expected in the image does not end the search: a better one may be made of its
@@ -349,7 +360,7 @@ impl RobustMatcher {
             let left = work.hypotheses_left();
             let (hypotheses, tried) = search.try_pair(pair, screening.first_looks, pair.worth(left));
             done += 1;
-            found.effort.hypotheses_tried += tried;
+            found.effort.hypotheses_tried += tried.hypotheses;
             work.tried(tried);
             for pattern in search.refine_all(pair, hypotheses) {
                 work.refined(pattern.as_ref());
@@ -369,7 +380,7 @@ impl RobustMatcher {
         for _ in 0..MOST_CHALLENGES {
             found.sharpen(&search, &pairs, limit);
             let Some(best) = found.best.clone().filter(|best| best.log10_false_alarms <= limit) else { break };
-            let spent = work.as_with_every_look(found.effort.hypotheses_tried);
+            let spent = work.as_with_every_look(work.tried);
             let (rivals, tried) = search.rivals(&best, &pairs, (done, spent));
             found.effort.hypotheses_tried += tried;
             rivals.into_iter().for_each(|rival| found.take(rival, &search));

@@ -107,6 +107,21 @@ fn surprise(density: f64, radius_px: f64) -> f64 {
     -(-(-density * (std::f64::consts::PI * radius_px * radius_px)).exp_m1()).ln()
 }
 
+/// What was done: a hypothesis at a time, and the looks that all of them took.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Tried {
+    pub hypotheses: u64,
+    pub looks: u64,
+}
+
+impl std::ops::Add for Tried {
+    type Output = Tried;
+
+    fn add(self, other: Tried) -> Tried {
+        Tried { hypotheses: self.hypotheses + other.hypotheses, looks: self.looks + other.looks }
+    }
+}
+
 /// A pair of GCPs laid on two candidates.
 #[derive(Clone, Copy)]
 pub(super) struct Laid {
@@ -295,10 +310,10 @@ impl<'a> Search<'a> {
         telling
     }
 
-    /// The most surprising hypotheses about one pair of GCPs, best first, and how many were tried: all, or from evenly
+    /// The most surprising hypotheses about one pair of GCPs, best first, and what was tried: all, or from evenly
     /// chosen points about as many as `budget` allows. In a crowd a single pair can have billions. For `first_looks`
     /// see [`Screening`].
-    pub fn try_pair(&self, pair: &GcpPair, first_looks: usize, budget: u64) -> (Vec<Hypothesis>, u64) {
+    pub fn try_pair(&self, pair: &GcpPair, first_looks: usize, budget: u64) -> (Vec<Hypothesis>, Tried) {
         self.try_pair_within(self.tolerance_px, pair, first_looks, budget)
     }
 
@@ -309,11 +324,11 @@ impl<'a> Search<'a> {
         pair: &GcpPair,
         first_looks: usize,
         budget: u64,
-    ) -> (Vec<Hypothesis>, u64) {
+    ) -> (Vec<Hypothesis>, Tried) {
         let targets = self.targets(pair, tolerance_px);
         let fewest = self.fewest_hits(&targets, tolerance_px);
         if targets.len() < fewest {
-            return (Vec::new(), 0);
+            return (Vec::new(), Tried::default());
         }
         let (demand, bar) = (Demand { fewest, first_looks }, Bar::of(REFINED_PER_PAIR));
         let per_point = |i: usize| self.try_point(pair, &targets, (demand, &bar), i);
@@ -327,22 +342,22 @@ impl<'a> Search<'a> {
         &self,
         pair: &GcpPair,
         budget: u64,
-        each: impl Fn(usize) -> (Vec<T>, u64) + Send + Sync,
+        each: impl Fn(usize) -> (Vec<T>, Tried) + Send + Sync,
         keep_best: fn(&mut Vec<T>),
-    ) -> (Vec<T>, u64) {
+    ) -> (Vec<T>, Tried) {
         let points = self.field.points().len();
         let affordable = (budget as f64 / pair.cost.max(1.0) * points as f64).min(points as f64) as usize;
         let chosen = |k: usize| each(k * points / affordable);
-        let join = |(mut one, n): (Vec<T>, u64), (other, m): (Vec<T>, u64)| {
+        let join = |(mut one, n): (Vec<T>, Tried), (other, m): (Vec<T>, Tried)| {
             one.extend(other);
             keep_best(&mut one);
             (one, n + m)
         };
         let looks = 1 + self.gcps.len() as u64 / LOOKS_OF_ONE;
         if pair.hypotheses().min(budget) * looks < WORTH_THREADS {
-            return (0..affordable).map(chosen).fold((Vec::new(), 0), join);
+            return (0..affordable).map(chosen).fold((Vec::new(), Tried::default()), join);
         }
-        (0..affordable).into_par_iter().map(chosen).reduce(|| (Vec::new(), 0), join)
+        (0..affordable).into_par_iter().map(chosen).reduce(|| (Vec::new(), Tried::default()), join)
     }
 
     /// Calls `visit` with every point that the priors allow at the second end of a pair when `i` is at the first.
@@ -366,24 +381,23 @@ impl<'a> Search<'a> {
         pair: &GcpPair,
         points: &[usize],
         (first_looks, above): (usize, &Bar<'_>),
-    ) -> (Vec<Hypothesis>, u64) {
+    ) -> (Vec<Hypothesis>, Tried) {
         let targets = self.targets(pair, self.tolerance_px);
         let demand = Demand { fewest: self.fewest_hits(&targets, self.tolerance_px), first_looks };
         if targets.len() < demand.fewest {
-            return (Vec::new(), 0);
+            return (Vec::new(), Tried::default());
         }
-        let (mut all, mut tried, bar) = (Vec::new(), 0, Bar::under(above, REFINED_PER_PAIR));
+        let (mut all, mut tried, bar) = (Vec::new(), Tried::default(), Bar::under(above, REFINED_PER_PAIR));
         for &i in points.iter().filter(|i| self.allows(**i, pair.a)) {
             let from = self.field.points()[i];
             let ends = points
                 .iter()
                 .filter(|&&j| j != i && self.allows(j, pair.b) && self.may_span(pair, from, self.field.points()[j]));
             let mut looking = Looking::new(self, pair, (demand, &bar), i);
-            for &j in ends {
-                tried += 1;
-                looking.take(&targets, j);
-            }
-            all.extend(looking.best(&targets));
+            ends.for_each(|&j| looking.take(&targets, j));
+            let (best, n) = looking.best(&targets);
+            all.extend(best);
+            tried = tried + n;
         }
         keep_best(&mut all);
         (all, tried)
@@ -438,12 +452,11 @@ impl<'a> Search<'a> {
         targets: &[Target],
         (demand, bar): (Demand, &Bar<'_>),
         i: usize,
-    ) -> (Vec<Hypothesis>, u64) {
+    ) -> (Vec<Hypothesis>, Tried) {
         if !self.allows(i, pair.a) {
-            return (Vec::new(), 0);
+            return (Vec::new(), Tried::default());
         }
         let from = self.field.points()[i];
-        let mut tried = 0;
         // Most points have no second end at all.
         let in_reach = OnceCell::new();
         let mut looking = None;
@@ -456,11 +469,9 @@ impl<'a> Search<'a> {
             if targets.len() < demand.fewest {
                 return;
             }
-            tried += 1;
             looking.get_or_insert_with(|| Looking::new(self, pair, (demand, bar), i)).take(targets, j);
         });
-        let best = looking.zip(in_reach.get()).map_or_else(Vec::new, |(looking, targets)| looking.best(targets));
-        (best, tried)
+        looking.zip(in_reach.get()).map_or_else(Default::default, |(looking, targets)| looking.best(targets))
     }
 
     /// Whether the priors allow points at these places to be a pair.
