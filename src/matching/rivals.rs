@@ -22,6 +22,8 @@ const FEWEST_TRIED: u64 = 200_000;
 /// explains half of its marks at least; of so many, drawn at random, fewer than two are among these in one case of
 /// 600,000 (25 · 2⁻²⁴).
 const MOST_MARKS: usize = 24;
+/// Pairs of GCPs between which it is asked whether a rival has been found: all of a short list.
+const PAIRS_TOGETHER: usize = 2000;
 /// Looks that all pairs of GCPs may cost with so few marks. Of a long list pairs drawn at random are tried with all
 /// marks where that is shorter, ...
 const MOST_LOOKS: u64 = 50_000_000;
@@ -66,21 +68,36 @@ impl Search<'_> {
         self.laid_on(&marks, pairs.iter().collect(), first_looks, pattern)
     }
 
-    fn laid_on(
+    /// Ends with the first rival that is as likely: of a long list that fits everywhere there are thousands.
+    fn laid_on<'p>(
         &self,
         marks: &[usize],
-        pairs: Vec<&GcpPair>,
+        pairs: Vec<&'p GcpPair>,
         first_looks: usize,
         pattern: &Pattern,
     ) -> (Vec<Pattern>, u64) {
-        let bar = Bar::of(REFINED);
-        let among = |pair| {
-            let (found, tried) = self.try_pair_among(pair, marks, (first_looks, &bar));
-            found.iter().filter(|h| !self.says(&pattern.similarity, pair, h)).for_each(|h| bar.raise(h.score));
-            (pair, (found, tried))
-        };
-        let found: Vec<_> = pairs.into_par_iter().map(among).collect();
-        self.refined(pattern, found.into_iter())
+        let (mut rivals, mut tried) = (Vec::new(), 0);
+        for pairs in pairs.chunks(PAIRS_TOGETHER) {
+            let bar = Bar::of(REFINED);
+            let among = |pair: &&'p GcpPair| {
+                let (found, tried) = self.try_pair_among(pair, marks, (first_looks, &bar));
+                found.iter().filter(|h| !self.says(&pattern.similarity, pair, h)).for_each(|h| bar.raise(h.score));
+                (*pair, (found, tried))
+            };
+            let found: Vec<_> = pairs.par_iter().map(among).collect();
+            let (more, n) = self.refined(pattern, found.into_iter());
+            tried += n;
+            rivals.extend(more);
+            if rivals.iter().any(|rival| self.is_as_likely(rival, pattern)) {
+                break;
+            }
+        }
+        (rivals, tried)
+    }
+
+    /// Whether a rival alone is reason enough to believe neither.
+    fn is_as_likely(&self, rival: &Pattern, pattern: &Pattern) -> bool {
+        rival.log10_false_alarms <= pattern.log10_false_alarms && !self.same_claim(rival, pattern)
     }
 
     /// The GCPs of the pattern laid on other marks, by pairs of GCPs that the search has not come to.
