@@ -10,6 +10,8 @@ const NEAR: f64 = 0.03;
 /// Share of the foretold fall of the cost from which longer steps are tried, and the longest.
 const CREEPING: f64 = 1.5;
 const FARTHEST_REACH: f64 = 256.0;
+/// The shortest part of a step that is tried.
+const SHORTEST_REACH: f64 = 1.0 / 64.0;
 
 /// What the damped normal equations say.
 pub(super) enum Solved<Step> {
@@ -51,7 +53,8 @@ pub(super) trait Descent {
 }
 
 /// The place of least cost that one step leads to: its cost, and what of the foretold fall the step itself brought.
-fn best_place<D: Descent>(place: &mut D, step: &D::Step, foretold: f64, cost: f64) -> (f64, f64) {
+/// Parts of the step are tried where all of it leads up and `shorter` asks for them.
+fn best_place<D: Descent>(place: &mut D, step: &D::Step, foretold: f64, cost: f64, shorter: bool) -> (f64, f64) {
     let cost_of = |place: &mut D, way| place.tried(step, way).unwrap_or(f64::INFINITY);
     let foretold = foretold.max(f64::MIN_POSITIVE);
     let (mut way, mut last) = (Way::Straight(1.0), Way::Straight(1.0));
@@ -76,6 +79,13 @@ fn best_place<D: Descent>(place: &mut D, step: &D::Step, foretold: f64, cost: f6
         }
         (next, way) = (far, last);
         reach *= 2.0;
+    }
+    // Where the loss bends on the way, the way is right and too long.
+    let mut reach = 0.5;
+    while shorter && (next.is_nan() || next >= cost) && reach >= SHORTEST_REACH {
+        (way, last) = (Way::Straight(reach), Way::Straight(reach));
+        next = cost_of(place, way);
+        reach *= 0.5;
     }
     if last != way {
         next = cost_of(place, way);
@@ -104,7 +114,7 @@ pub(super) fn descend<D: Descent>(place: &mut D, options: &Options) -> Summary {
                 }
                 Solved::Step { step, foretold } => (step, foretold),
             };
-            let (next, ratio) = best_place(place, &step, foretold, cost);
+            let (next, ratio) = best_place(place, &step, foretold, cost, curvature == Curvature::Whole);
             if next.is_finite() && next < cost {
                 place.accept();
                 let fall = cost - next;
@@ -143,4 +153,62 @@ pub(super) fn descend<D: Descent>(place: &mut D, options: &Options) -> Summary {
         }
     }
     end(cost, options.most_iterations, Ended::OutOfIterations, last_fall)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bundle::{ANY_FOCAL, FROM_NEAR, Loss};
+
+    /// √(1 + x²): what the curvature says leads three times too far and more from places beyond 1, the weights creep.
+    struct Hollow {
+        at: f64,
+        tried: f64,
+    }
+
+    impl Descent for Hollow {
+        type Step = f64;
+        fn cost(&self) -> f64 {
+            self.at.hypot(1.0)
+        }
+        fn solved(&self, curvature: Curvature, _: f64, least_slope: f64) -> Solved<f64> {
+            let slope = self.at / self.at.hypot(1.0);
+            if slope.abs() < least_slope {
+                return Solved::Level;
+            }
+            let step = match curvature {
+                Curvature::Whole => -self.at * (1.0 + self.at * self.at),
+                Curvature::Weights => -0.02 * self.at,
+            };
+            Solved::Step { step, foretold: -0.5 * step * slope }
+        }
+        fn tried(&mut self, step: &f64, way: Way) -> Option<f64> {
+            let Way::Straight(reach) = way else { return None };
+            // No farther than the model says: what is tested are shorter steps.
+            self.tried = self.at + step * reach.min(1.0);
+            Some(self.tried.hypot(1.0))
+        }
+        fn accept(&mut self) {
+            self.at = self.tried;
+        }
+        fn refuse(&mut self) {}
+        fn is_out_of_bounds(&self) -> bool {
+            false
+        }
+    }
+
+    #[test]
+    fn a_step_that_leads_too_far_is_gone_in_part() {
+        let options = Options {
+            loss: Loss::Squared,
+            most_iterations: 100,
+            least_gain: 1e-10,
+            focal_px: ANY_FOCAL,
+            damping: FROM_NEAR,
+        };
+        let mut place = Hollow { at: 3.0, tried: 0.0 };
+        let summary = descend(&mut place, &options);
+        assert_eq!(summary.ended, Ended::Converged);
+        assert!(place.at.abs() < 1e-4 && summary.iterations < 15, "{} after {}", place.at, summary.iterations);
+    }
 }
