@@ -204,13 +204,15 @@ fn adjust_all(
             break;
         }
     }
-    let sigma_tie_px = match options.sigma_tie_px {
-        Some(s) => s,
-        None => estimate_sigma(&problem, ties).unwrap_or(1.0).max(options.least_sigma_tie_px),
-    };
+    let sigmas = options.sigma_tie_px.map_or_else(
+        || sigmas_of_ties(&problem, ties).map(|s| s.max(options.least_sigma_tie_px)),
+        |stated| [stated; 3],
+    );
+    let sigma_tie_px = sigmas[0];
+    let rays = rays_of_ties(&problem, ties);
     for o in &mut problem.observations {
         if o.point < ties {
-            o.sigma_px = sigma_tie_px;
+            o.sigma_px = sigmas[if rays[o.point] == 2 { 1 } else { 2 }];
         } else {
             o.trust = Trust::Full;
         }
@@ -347,13 +349,41 @@ const FARTHEST_START: f64 = 1e4;
 /// Medians of χ² with one and three degrees of freedom, of which Wilson and Hilferty's cube root is too large.
 const MEDIANS: [(usize, f64); 2] = [(1, 0.4549), (3, 2.366)];
 
+/// Fewer ties say nothing of their kind.
+const LEAST_OF_KIND: usize = 100;
+
+/// How many image points each tie has.
+fn rays_of_ties(problem: &Problem, ties: usize) -> Vec<usize> {
+    let mut rays = vec![0usize; ties];
+    problem.observations.iter().filter(|o| o.point < ties).for_each(|o| rays[o.point] += 1);
+    rays
+}
+
+/// σ of ties' coordinates: of all, of those of two rays, and of those of more. What ties err along the epipolar line,
+/// where relief bends windows, is several times what they err across; of two rays it lies in the point and pulls at
+/// nothing, while three rays show it and pull at frames and lens.
+fn sigmas_of_ties(problem: &Problem, ties: usize) -> [f64; 3] {
+    let rays = rays_of_ties(problem, ties);
+    let all = estimate_sigma(problem, ties, |_| true).unwrap_or(1.0);
+    let kind = |is: fn(usize) -> bool| {
+        let of_it = || rays.iter().filter(|n| **n > 1 && is(**n));
+        let enough = of_it().count() >= LEAST_OF_KIND;
+        let sigma = enough.then(|| estimate_sigma(problem, ties, |tie| is(rays[tie]))).flatten()?;
+        Some((sigma, of_it().sum::<usize>() as f64 / of_it().count() as f64))
+    };
+    let (Some((two, _)), Some((more, n))) = (kind(|n| n == 2), kind(|n| n > 2)) else { return [all; 3] };
+    // Of n rays n - 1 measurements to spare lie across the epipolar lines, and n - 2 along them.
+    let along = ((2.0 * n - 3.0) * more * more - (n - 1.0) * two * two) / (n - 2.0);
+    [all, two, along.max(two * two).sqrt()]
+}
+
 /// σ of a tie's coordinate. A tie that n frames see has 2n − 3 measurements to spare, and the sum of its squared
 /// residuals in units of σ² follows χ² of so many degrees of freedom: of two rays only what lies across the epipolar
 /// line shows, a quarter of what they err. The median over ties that weigh as much as they have to spare, so that ties
 /// seen often count and wrong ones do not; and the share that the frames' unknowns take up.
-fn estimate_sigma(problem: &Problem, ties: usize) -> Option<f64> {
+fn estimate_sigma(problem: &Problem, ties: usize, counts: impl Fn(usize) -> bool) -> Option<f64> {
     let mut sums = vec![(0.0, 0usize); ties];
-    for o in problem.observations.iter().filter(|o| o.point < ties) {
+    for o in problem.observations.iter().filter(|o| o.point < ties && counts(o.point)) {
         if let Some(r) = problem.residual(o) {
             sums[o.point].0 += r[0] * r[0] + r[1] * r[1];
             sums[o.point].1 += 2;
@@ -374,4 +404,61 @@ fn estimate_sigma(problem: &Problem, ties: usize) -> Option<f64> {
         2 * below >= spare
     })?;
     Some((median / problem.share_left()).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use autoref_synth::rng::Rng;
+
+    /// Ties of two and of three rays, whose residuals are such as errors of 0.1 px across and of `along_px` along the
+    /// line of the frames leave.
+    fn left_by(along_px: f64) -> Problem {
+        let mut rng = Rng::new(5, 1, 1);
+        let camera = Camera::pinhole("c", [1000.0; 2], 1000.0, [500.0; 2]);
+        let mut problem = Problem { cameras: vec![BundleCamera::held(camera)], ..Problem::default() };
+        let look = |k: usize| Pose { rotation: Matrix3::identity(), centre: Vector3::new(k as f64, 0.0, 0.0) };
+        let frame = |k| BundleFrame { camera: 0, pose: look(k), position: None, direction: None };
+        problem.frames = (0..3).map(frame).collect();
+        for tie in 0..4000 {
+            let xyz = Vector3::new(rng.range(0.0, 2.0), rng.range(-1.0, 1.0), 5.0);
+            problem.points.push(BundlePoint { xyz, survey: None });
+            let [a, b, c] = [0.1 * rng.normal(), 0.1 * rng.normal(), along_px * rng.normal()];
+            let (two, six) = (2f64.sqrt(), 6f64.sqrt());
+            let left = match tie % 2 {
+                0 => vec![[0.0, a / two], [0.0, -a / two]],
+                _ => vec![[c / six, a / two + b / six], [-2.0 * c / six, b / six - a / two], [c / six, -2.0 * b / six]],
+            };
+            for (frame, left) in left.into_iter().enumerate() {
+                let at = problem.cameras[0].camera.project(look(frame).to_camera(&xyz).into()).expect("in front");
+                let pixel = [at[0] - left[0], at[1] - left[1]];
+                problem.observations.push(Observation {
+                    frame,
+                    point: tie,
+                    pixel,
+                    sigma_px: 1.0,
+                    trust: Trust::Robust,
+                });
+            }
+        }
+        problem
+    }
+
+    #[test]
+    fn ties_of_three_rays_weigh_by_what_they_err_along_the_line_too() {
+        let [all, two, more] = sigmas_of_ties(&left_by(0.1), 4000);
+        for sigma in [all, two, more] {
+            assert!((sigma - 0.1).abs() < 0.01, "{all} {two} {more}");
+        }
+        let [_, two, more] = sigmas_of_ties(&left_by(0.5), 4000);
+        assert!((two - 0.1).abs() < 0.01 && (0.3..0.6).contains(&more), "{two} {more}");
+    }
+
+    #[test]
+    fn a_few_ties_of_a_kind_weigh_as_all_do() {
+        let mut problem = left_by(0.5);
+        problem.observations.retain(|o| o.point % 2 == 0 || o.point < LEAST_OF_KIND);
+        let [all, two, more] = sigmas_of_ties(&problem, 4000);
+        assert!(all == two && all == more, "{all} {two} {more}");
+    }
 }
