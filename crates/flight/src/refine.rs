@@ -25,8 +25,9 @@ const LAST_STEP_PX: f64 = 0.01;
 const MOST_STEPS: usize = 25;
 /// Windows that correlate less show different ground.
 const LEAST_CORRELATION: f64 = 0.6;
-/// Where so large a share of a frame's image points was laid, and as many at least, those that do not fit show other
-/// ground: in a rendered flight two in five of them were more than a pixel off, of the others one in forty.
+/// Where so large a share of a frame's image points was laid, and as many at least, they count, and those that do not
+/// fit show other ground: in a rendered flight two in five of them were more than a pixel off, of the others one in
+/// forty.
 const LEAST_LAID: f64 = 0.5;
 const LEAST_POINTS: usize = 30;
 /// Neighbouring ties that say how the ground is warped, and how few can say it.
@@ -123,12 +124,13 @@ pub fn laid(model: &Reconstruction, pair: &Pair, pictures: [Picture<'_>; 2]) -> 
     pair.ties.par_iter().filter_map(one).collect()
 }
 
-/// The block with the image points where they were laid, without those that do not fit where most do, and its ties
-/// where their rays meet now; `None` when the rays meet no better than before (the median over image points): then what
-/// stands up from the ground, or moved, was laid upon each other.
+/// The block with the image points where they were laid, without those that do not fit, both in frames most of whose
+/// do, and its ties where their rays meet now; `None` when the rays meet no better than before (the median over image
+/// points): then what stands up from the ground, or moved, was laid upon each other. Where few windows of faint frames
+/// fit, many of them do so by chance.
 pub fn taken(model: &Reconstruction, moved: &[Moved]) -> Option<Reconstruction> {
     let mut laid = model.clone();
-    for (tied, to) in moved.iter().filter_map(|m| Some((m.tied, m.to?))) {
+    for (tied, to) in clearly(model, moved) {
         laid.ties[tied.tie].seen[tied.moves].1 = to;
     }
     let met = |model: &Reconstruction| -> Vec<Option<Vector3<f64>>> {
@@ -160,25 +162,44 @@ pub fn taken(model: &Reconstruction, moved: &[Moved]) -> Option<Reconstruction> 
     Some(laid)
 }
 
-/// Takes out the image points that do not fit, in frames most of whose do.
-fn leave_out(laid: &mut Reconstruction, moved: &[Moved]) {
-    let frames = |laid: &Reconstruction, tied: &Tied| {
-        let seen = &laid.ties[tied.tie].seen;
-        [seen[tied.stays].0, seen[tied.moves].0]
-    };
-    let mut counts = vec![[0usize; 2]; laid.photographs.len()];
+/// Image points that [`taken`] moves.
+pub fn taken_points(model: &Reconstruction, moved: &[Moved]) -> usize {
+    clearly(model, moved).count()
+}
+
+/// What was laid in frames most of whose image points were, and where.
+fn clearly(model: &Reconstruction, moved: &[Moved]) -> impl Iterator<Item = (Tied, [f64; 2])> {
+    let clear = clear_frames(model, moved);
+    moved.iter().filter_map(move |m| {
+        let to = m.to?;
+        frames(model, &m.tied).into_iter().all(|frame| clear[frame]).then_some((m.tied, to))
+    })
+}
+
+/// The frames of a tie's image points that were laid upon each other.
+fn frames(model: &Reconstruction, tied: &Tied) -> [usize; 2] {
+    let seen = &model.ties[tied.tie].seen;
+    [seen[tied.stays].0, seen[tied.moves].0]
+}
+
+/// Which frames show ground so clearly that most of their image points were laid.
+fn clear_frames(model: &Reconstruction, moved: &[Moved]) -> Vec<bool> {
+    let mut counts = vec![[0usize; 2]; model.photographs.len()];
     for m in moved {
-        for frame in frames(laid, &m.tied) {
+        for frame in frames(model, &m.tied) {
             counts[frame][usize::from(m.is_laid())] += 1;
         }
     }
-    let clear: Vec<bool> = counts
-        .iter()
-        .map(|[not, fit]| *fit >= LEAST_POINTS && *fit as f64 >= LEAST_LAID * (not + fit) as f64)
-        .collect();
+    let is_clear = |[not, fit]: &[usize; 2]| *fit >= LEAST_POINTS && *fit as f64 >= LEAST_LAID * (not + fit) as f64;
+    counts.iter().map(is_clear).collect()
+}
+
+/// Takes out the image points that do not fit, in frames most of whose do.
+fn leave_out(laid: &mut Reconstruction, moved: &[Moved]) {
+    let clear = clear_frames(laid, moved);
     let mut out: Vec<Vec<usize>> = vec![vec![]; laid.ties.len()];
     for m in moved.iter().filter(|m| !m.is_laid()) {
-        if frames(laid, &m.tied).iter().all(|frame| clear[*frame]) {
+        if frames(laid, &m.tied).into_iter().all(|frame| clear[frame]) {
             out[m.tied.tie].push(m.tied.moves);
         }
     }
@@ -442,6 +463,8 @@ mod tests {
         let mut block = drawn.model.clone();
         leave_out(&mut block, &moved);
         assert_eq!(block.ties.len(), 150);
+        // Nor are the few that fit by chance moved.
+        assert!(taken(&drawn.model, &moved).is_none());
         let even = Drawn::new(|_, _, _| 100.0);
         assert!(laid_count(&even.laid()) < 30);
     }

@@ -18,7 +18,7 @@ use crate::cli::progress::Steps;
 pub fn refined(oriented: Oriented, frames: &Path) -> Result<Oriented> {
     let moved = laid(&oriented.model, frames)?;
     Ok(match refine::taken(&oriented.model, &moved) {
-        Some(model) => Oriented { model, laid: moved.iter().filter(|m| m.is_laid()).count(), ..oriented },
+        Some(model) => Oriented { model, laid: refine::taken_points(&oriented.model, &moved), ..oriented },
         None => oriented,
     })
 }
