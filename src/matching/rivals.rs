@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use crate::matching::Pattern;
 use crate::matching::looks::Bar;
+use crate::matching::robust::{REPETITION_LOG10, RUNNER_UP_GAP};
 use crate::matching::screening::Screening;
 use crate::matching::search::{GcpPair, Hypothesis, Search, Tried};
 use autoref_raster::random::mix;
@@ -68,7 +69,7 @@ impl Search<'_> {
         self.laid_on(&marks, pairs.iter().collect(), first_looks, pattern)
     }
 
-    /// Ends with the first rival that is as likely: of a long list that fits everywhere there are thousands.
+    /// Ends with the first rival that is reason enough: a long list that fits everywhere has thousands.
     fn laid_on<'p>(
         &self,
         marks: &[usize],
@@ -88,16 +89,17 @@ impl Search<'_> {
             let (more, n) = self.refined(pattern, found.into_iter());
             tried += n;
             rivals.extend(more);
-            if rivals.iter().any(|rival| self.is_as_likely(rival, pattern)) {
+            if rivals.iter().any(|rival| self.is_reason_enough(rival, pattern)) {
                 break;
             }
         }
         (rivals, tried)
     }
 
-    /// Whether a rival alone is reason enough to believe neither.
-    fn is_as_likely(&self, rival: &Pattern, pattern: &Pattern) -> bool {
-        rival.log10_false_alarms <= pattern.log10_false_alarms && !self.same_claim(rival, pattern)
+    /// Whether a rival alone is reason enough to believe neither: something repeats, nearly as unlikely an accident.
+    fn is_reason_enough(&self, rival: &Pattern, pattern: &Pattern) -> bool {
+        let (rival_log10, log10) = (rival.log10_false_alarms, pattern.log10_false_alarms);
+        rival_log10 <= REPETITION_LOG10 && rival_log10 - log10 < RUNNER_UP_GAP && !self.same_claim(rival, pattern)
     }
 
     /// The GCPs of the pattern laid on other marks, by pairs of GCPs that the search has not come to.

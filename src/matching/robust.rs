@@ -17,12 +17,12 @@ use crate::matching::{Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern
 use autoref_raster::coords::MapPoint;
 
 /// How much rarer (log₁₀) the best pattern must be than an accident that says something else.
-const RUNNER_UP_GAP: f64 = 2.0;
+pub(super) const RUNNER_UP_GAP: f64 = 2.0;
 /// A rival rarer than this (log₁₀) is hardly an accident: the limit holds against it too.
 const SUSPECT_LOG10: f64 = -2.0;
 /// A rival rarer than this (log₁₀) is none: something repeats. Which of the two has more marks says little then,
 /// because marks are forgotten, hidden and overlooked, unless the rival explains less than half as many.
-const REPETITION_LOG10: f64 = -4.0;
+pub(super) const REPETITION_LOG10: f64 = -4.0;
 /// Of a rival's marks the best pattern must join so many to be compared with it mark by mark; fewer say nothing.
 const SHARED_MARKS: f64 = 0.8;
 const FEWEST_SHARED: usize = 5;
