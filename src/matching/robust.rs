@@ -215,10 +215,10 @@ impl Work {
         self.done += Work::cost(tried) + self.gcps;
     }
 
-    /// Some hundred weighings, each of every point in the image against every other.
+    /// Some weighings, each of every point in the image against every other.
     fn refined(&mut self, pattern: Option<&Pattern>) {
         let inside = pattern.map_or(0, |pattern| pattern.gcps_in_image as u64);
-        self.done += 20 * self.gcps + 4 * inside * inside;
+        self.done += 10 * self.gcps + inside * inside;
     }
 }
 
