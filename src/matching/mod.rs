@@ -49,6 +49,7 @@ mod settle;
 mod sharpen;
 mod time_limit;
 pub mod tpp;
+mod waiting;
 mod weigh;
 
 use serde::{Deserialize, Serialize};

@@ -12,7 +12,8 @@ use crate::gcp::{Gcp, GcpRole};
 use crate::matching::explain::explain;
 use crate::matching::grow::GROWN_FROM;
 use crate::matching::names::Names;
-use crate::matching::search::{GcpPair, LOOKS_OF_ONE, Search, Tried};
+use crate::matching::search::{GcpPair, Hypothesis, LOOKS_OF_ONE, REFINED_PER_PAIR, Search, Tried};
+use crate::matching::waiting::Waiting;
 use crate::matching::{Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, Solved, TimeLimit};
 use autoref_raster::coords::MapPoint;
 
@@ -178,6 +179,7 @@ fn log10_closer_by_chance(best: &Pattern, rival: &Pattern, gcps: usize) -> f64 {
 
 /// What a search has done of what it may do, counted as hypotheses: the looks that each of them took are in it, and
 /// what a pattern costs that is refined.
+#[derive(Default)]
 struct Work {
     done: u64,
     allowed: u64,
@@ -186,6 +188,10 @@ struct Work {
     tried: Tried,
     /// Looks at other GCPs that a hypothesis takes, before any is tried.
     looks: u64,
+    /// What trying took since the last were refined.
+    since_refined: u64,
+    /// Patterns refined, and what they took.
+    refined: (u64, u64),
 }
 
 impl Work {
@@ -212,13 +218,25 @@ impl Work {
     fn tried(&mut self, tried: Tried) {
         self.tried = self.tried + tried;
         // Laying out a pair of GCPs against all others costs too.
-        self.done += Work::cost(tried) + self.gcps;
+        let cost = Work::cost(tried) + self.gcps;
+        self.done += cost;
+        self.since_refined += cost;
+    }
+
+    /// Whether trying took as long as refining the best will.
+    fn is_worth_refining(&self) -> bool {
+        let (patterns, cost) = self.refined;
+        let each = cost.checked_div(patterns).unwrap_or(10 * self.gcps);
+        self.since_refined >= REFINED_PER_PAIR as u64 * each
     }
 
     /// Some weighings, each of every point in the image against every other.
     fn refined(&mut self, pattern: Option<&Pattern>) {
         let inside = pattern.map_or(0, |pattern| pattern.gcps_in_image as u64);
-        self.done += 10 * self.gcps + inside * inside;
+        let cost = 10 * self.gcps + inside * inside;
+        self.done += cost;
+        self.refined = (self.refined.0 + 1, self.refined.1 + cost);
+        self.since_refined = 0;
     }
 }
 
@@ -258,6 +276,16 @@ impl Found {
             self.runner_up = None;
         }
         self.best = Some(sharper);
+    }
+
+    /// Takes what these are refined to.
+    fn refine(&mut self, hypotheses: Vec<(&GcpPair, Hypothesis)>, search: &Search, work: &mut Work) {
+        for pattern in search.refine_all(hypotheses) {
+            work.refined(pattern.as_ref());
+            if let Some(pattern) = pattern {
+                self.take(pattern, search);
+            }
+        }
     }
 
     pub fn take(&mut self, pattern: Pattern, search: &Search) {
@@ -343,7 +371,9 @@ impl RobustMatcher {
         let gcps = gcps.len() as u64;
         let looks = gcps.min(screening.first_looks as u64);
         let done_before = found.effort.hypotheses_tried;
-        let mut work = Work { done: done_before, allowed: budget, gcps, tried: Tried::default(), looks };
+        let mut work =
+            Work { done: done_before, allowed: budget, gcps, tried: Tried::default(), looks, ..Work::default() };
+        let mut waiting = Waiting::new();
         for pair in &pairs {
             // One decade below the limit chance has no say any more; repetition is asked about below. A pattern that
             // leaves out most of what is expected in the image does not end the search: a better one may be made of its
@@ -358,24 +388,21 @@ impl RobustMatcher {
                 break;
             }
             let left = work.hypotheses_left();
-            let (hypotheses, tried) = search.try_pair(pair, screening.first_looks, pair.worth(left));
+            let first_looks = (screening.first_looks, waiting.bar());
+            let (hypotheses, tried) = search.try_pair_above(pair, first_looks, pair.worth(left));
             done += 1;
             found.effort.hypotheses_tried += tried.hypotheses;
             work.tried(tried);
-            for pattern in search.refine_all(pair, hypotheses) {
-                work.refined(pattern.as_ref());
-                if let Some(pattern) = pattern {
-                    found.take(pattern, &search);
-                }
-                if work.hypotheses_left() == 0 {
-                    break;
-                }
+            waiting.take(pair, hypotheses);
+            if work.is_worth_refining() {
+                found.refine(waiting.next(), &search, &mut work);
             }
             if left < pair.hypotheses() || work.hypotheses_left() == 0 {
                 found.effort.budget_spent = true;
                 break;
             }
         }
+        found.refine(waiting.next(), &search, &mut work);
         // A rival that takes the first place must answer the same questions.
         for _ in 0..MOST_CHALLENGES {
             found.sharpen(&search, &pairs, limit);

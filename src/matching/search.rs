@@ -314,15 +314,25 @@ impl<'a> Search<'a> {
     /// chosen points about as many as `budget` allows. In a crowd a single pair can have billions. For `first_looks`
     /// see [`Screening`].
     pub fn try_pair(&self, pair: &GcpPair, first_looks: usize, budget: u64) -> (Vec<Hypothesis>, Tried) {
-        self.try_pair_within(self.tolerance_px, pair, first_looks, budget)
+        self.try_pair_within(self.tolerance_px, pair, (first_looks, Bar::of(REFINED_PER_PAIR)), budget)
     }
 
-    /// The same with another tolerance for the error of one mark, pixels.
+    /// The same without what stays below a bar.
+    pub fn try_pair_above(
+        &self,
+        pair: &GcpPair,
+        (first_looks, above): (usize, &Bar<'_>),
+        budget: u64,
+    ) -> (Vec<Hypothesis>, Tried) {
+        self.try_pair_within(self.tolerance_px, pair, (first_looks, Bar::under(above, REFINED_PER_PAIR)), budget)
+    }
+
+    /// The same with a tolerance for the error of one mark, pixels, and a bar of the pair's own.
     pub fn try_pair_within(
         &self,
         tolerance_px: f64,
         pair: &GcpPair,
-        first_looks: usize,
+        (first_looks, bar): (usize, Bar<'_>),
         budget: u64,
     ) -> (Vec<Hypothesis>, Tried) {
         let targets = self.targets(pair, tolerance_px);
@@ -330,7 +340,7 @@ impl<'a> Search<'a> {
         if targets.len() < fewest {
             return (Vec::new(), Tried::default());
         }
-        let (demand, bar) = (Demand { fewest, first_looks }, Bar::of(REFINED_PER_PAIR));
+        let demand = Demand { fewest, first_looks };
         let per_point = |i: usize| self.try_point(pair, &targets, (demand, &bar), i);
         self.over_chosen_points(pair, budget, per_point, keep_best)
     }

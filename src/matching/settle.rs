@@ -18,11 +18,12 @@ const WORTH_THREADS: usize = 60;
 
 impl Search<'_> {
     /// [`Search::refine`] of each.
-    pub fn refine_all(&self, pair: &GcpPair, hypotheses: Vec<Hypothesis>) -> Vec<Option<Pattern>> {
+    pub fn refine_all(&self, hypotheses: Vec<(&GcpPair, Hypothesis)>) -> Vec<Option<Pattern>> {
+        let refined = |(pair, hypothesis): (&GcpPair, Hypothesis)| self.refine(pair, hypothesis);
         if self.gcps.len() < WORTH_THREADS {
-            return hypotheses.into_iter().map(|hypothesis| self.refine(pair, hypothesis)).collect();
+            return hypotheses.into_iter().map(refined).collect();
         }
-        hypotheses.into_par_iter().map(|hypothesis| self.refine(pair, hypothesis)).collect()
+        hypotheses.into_par_iter().map(refined).collect()
     }
 
     /// A hypothesis as a least-squares pattern with its number of false alarms.

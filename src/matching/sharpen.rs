@@ -4,8 +4,9 @@
 use crate::matching::Pattern;
 use crate::matching::evidence::{CLOSEST_PX, spread_from_pair};
 use crate::matching::far::root_mean_square;
+use crate::matching::looks::Bar;
 use crate::matching::screening::Screening;
-use crate::matching::search::{GcpPair, Hypothesis, Search};
+use crate::matching::search::{GcpPair, Hypothesis, REFINED_PER_PAIR, Search};
 use crate::matching::settle::{FEWEST_NEAR, centre_and_spread, tolerance_px};
 use autoref_solve::Similarity;
 use autoref_solve::similarity::Pair;
@@ -87,7 +88,8 @@ impl Search<'_> {
     fn told_by_all(&self, pairs: &[GcpPair], told: &mut Vec<Told>) {
         let points = self.field.points();
         let couples: Vec<Couple> = (0..self.gcps.len()).flat_map(|k| (0..points.len()).map(move |c| (c, k))).collect();
-        let close = |pair| self.try_pair_within(CLOSEST_PX, pair, Screening::EVERY_LOOK, u64::MAX).0;
+        let bar = || Bar::of(REFINED_PER_PAIR);
+        let close = |pair| self.try_pair_within(CLOSEST_PX, pair, (Screening::EVERY_LOOK, bar()), u64::MAX).0;
         let mut best: Vec<(&GcpPair, Hypothesis)> = Vec::new();
         for pair in pairs {
             best.extend(close(pair).into_iter().map(|hypothesis| (pair, hypothesis)));
