@@ -24,7 +24,7 @@ const LOOKS_OF_HIT: usize = 40;
 /// Hypotheses of a batch.
 const BATCH: usize = 64;
 
-/// Hypotheses with one first end on their way through the looks: the first few, and all.
+/// Hypotheses about a pair on their way through the looks: the first few, and all.
 pub(super) struct Looking<'s> {
     fresh: Batch,
     seen: Seen,
@@ -33,21 +33,21 @@ pub(super) struct Looking<'s> {
 }
 
 impl<'s> Looking<'s> {
-    /// With point `i` at the first end of the pair.
-    pub fn new(search: &'s Search<'s>, pair: &GcpPair, (demand, bar): (Demand, &'s Bar<'s>), i: usize) -> Self {
-        let view = View { search, span: search.span(pair), i };
+    pub fn new(search: &'s Search<'s>, pair: &GcpPair, (demand, bar): (Demand, &'s Bar<'s>)) -> Self {
+        let view = View { search, span: search.span(pair) };
         let later =
             Later { view, demand, bar, noticed: Batch::new(), seen: Seen::default(), best: Vec::new(), looks: 0 };
         Looking { fresh: Batch::new(), seen: Seen::default(), later, hypotheses: 0 }
     }
 
-    /// The hypothesis with point `j` at the second end.
+    /// The hypothesis with these points at the ends; they must be able to reach all these targets, or the targets be
+    /// the same for all hypotheses.
     #[inline]
-    pub fn take(&mut self, targets: &[Target], j: usize) {
+    pub fn take(&mut self, targets: &[Target], ends: (usize, usize)) {
         self.hypotheses += 1;
         if self.later.demand.first_looks >= targets.len() {
-            self.later.take(targets, j);
-        } else if self.fresh.push(j) == BATCH {
+            self.later.take(targets, ends);
+        } else if self.fresh.push(ends) == BATCH {
             self.first_looks(targets);
         }
     }
@@ -61,10 +61,10 @@ impl<'s> Looking<'s> {
             seen.look(&view, first, ends);
             for lane in 0..used {
                 later.looks += (first.len() + LOOKS_OF_HIT * seen.count(lane)) as u64;
-                let hypothesis = view.hypothesis(ends[lane]);
+                let hypothesis = view.hypothesis(ends.of(lane));
                 // Most of what may be a hit here is none: to ask costs less than all the other looks.
                 if seen.of(lane).any(|k| view.search.hit(hypothesis, &first[k]).is_some()) {
-                    later.take(targets, ends[lane] as usize);
+                    later.take(targets, ends.of(lane));
                 }
             }
         });
@@ -96,8 +96,8 @@ struct Later<'s> {
 
 impl Later<'_> {
     #[inline]
-    fn take(&mut self, targets: &[Target], j: usize) {
-        if self.noticed.push(j) == BATCH {
+    fn take(&mut self, targets: &[Target], ends: (usize, usize)) {
+        if self.noticed.push(ends) == BATCH {
             self.all_looks(targets);
         }
     }
@@ -114,7 +114,7 @@ impl Later<'_> {
                     continue;
                 }
                 *looks += (targets.len() + LOOKS_OF_HIT * count) as u64;
-                let Some(hypothesis) = view.scored((seen, lane, count), targets, ends[lane], (*demand, bar)) else {
+                let Some(hypothesis) = view.scored((seen, lane, count), targets, ends.of(lane), (*demand, bar)) else {
                     continue;
                 };
                 bar.raise(hypothesis.score);
@@ -132,12 +132,15 @@ impl Later<'_> {
 struct Seen {
     /// Of each 32 targets a bit each, for every lane.
     words: Vec<[u32; LANES]>,
+    /// The cell of each bitmap in which the first end lies, column and row, for every lane.
+    from: Vec<[[f32; LANES]; 2]>,
 }
 
 impl Seen {
-    fn look(&mut self, view: &View<'_>, targets: &[Target], ends: &[u32; LANES]) {
+    fn look(&mut self, view: &View<'_>, targets: &[Target], ends: &Ends) {
         self.words.resize(targets.len().div_ceil(32), [0; LANES]);
-        widest(Looks { view, targets, ends, words: &mut self.words });
+        view.cells_of(ends, &mut self.from);
+        widest(Looks { view, targets, ends, from: &self.from, words: &mut self.words });
     }
 
     fn count(&self, lane: usize) -> usize {
@@ -202,15 +205,29 @@ impl<'a> Bar<'a> {
     }
 }
 
-/// Second ends that wait for a look.
+/// The points at the two ends of a few hypotheses.
+#[derive(Clone, Copy)]
+struct Ends {
+    first: [u32; LANES],
+    second: [u32; LANES],
+}
+
+impl Ends {
+    #[inline]
+    fn of(&self, lane: usize) -> (usize, usize) {
+        (self.first[lane] as usize, self.second[lane] as usize)
+    }
+}
+
+/// Hypotheses that wait for a look.
 struct Batch {
     len: usize,
-    ends: [u32; BATCH],
+    ends: [Ends; BATCH / LANES],
 }
 
 impl Batch {
     fn new() -> Batch {
-        Batch { len: 0, ends: [0; BATCH] }
+        Batch { len: 0, ends: [Ends { first: [0; LANES], second: [0; LANES] }; BATCH / LANES] }
     }
 
     /// Adds one; gives how many there are.
@@ -218,28 +235,28 @@ impl Batch {
     /// # Panics
     /// When the batch is full.
     #[inline]
-    fn push(&mut self, end: usize) -> usize {
-        self.ends[self.len] = end as u32;
+    fn push(&mut self, (first, second): (usize, usize)) -> usize {
+        let (ends, lane) = (&mut self.ends[self.len / LANES], self.len % LANES);
+        (ends.first[lane], ends.second[lane]) = (first as u32, second as u32);
         self.len += 1;
         self.len
     }
 
-    /// Empties the batch: calls `each` with its second ends in their order, some at a time, and how many count.
+    /// Empties the batch: calls `each` with its hypotheses in their order, some at a time, and how many count.
     #[inline]
-    fn drain(&mut self, mut each: impl FnMut(&[u32; LANES], usize)) {
+    fn drain(&mut self, mut each: impl FnMut(&Ends, usize)) {
         let len = std::mem::take(&mut self.len);
-        for (first, ends) in (0..len).step_by(LANES).zip(self.ends.as_chunks::<LANES>().0) {
+        for (first, ends) in (0..len).step_by(LANES).zip(&self.ends) {
             each(ends, (len - first).min(LANES));
         }
     }
 }
 
-/// The field as seen from point `i` at the first end of a pair.
+/// The field as a pair of GCPs is laid on it.
 #[derive(Clone, Copy)]
 struct View<'a> {
     search: &'a Search<'a>,
     span: Span,
-    i: usize,
 }
 
 /// From here on single floats are whole numbers, and the lower bits say which.
@@ -257,7 +274,8 @@ fn cell(v: f32, cells: f32) -> u32 {
 struct Looks<'a> {
     view: &'a View<'a>,
     targets: &'a [Target],
-    ends: &'a [u32; LANES],
+    ends: &'a Ends,
+    from: &'a [[[f32; LANES]; 2]],
     words: &'a mut [[u32; LANES]],
 }
 
@@ -266,12 +284,12 @@ impl Kernel for Looks<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Looks { view, targets, ends, words } = self;
+        let Looks { view, targets, ends, from, words } = self;
         let z = view.factors(ends);
         for (targets, words) in targets.chunks(32).zip(words) {
             let mut seen = [0u32; LANES];
             for (place, target) in targets.iter().enumerate() {
-                let bits = view.sight_of(target).look(&z);
+                let bits = view.sight_of(target).look(&from[target.bitmap], &z);
                 for lane in 0..LANES {
                     seen[lane] |= bits[lane] << place;
                 }
@@ -282,11 +300,25 @@ impl Kernel for Looks<'_> {
 }
 
 impl<'a> View<'a> {
-    fn hypothesis(&self, end: u32) -> Laid {
-        let View { search, span, i } = self;
+    fn hypothesis(&self, ends: (usize, usize)) -> Laid {
+        let View { search, span } = self;
         let points = search.field.points();
-        let (from, to) = (points[*i], points[end as usize]);
-        Laid { ends: (*i, end as usize), from, z: span.factor(from, to) }
+        let (from, to) = (points[ends.0], points[ends.1]);
+        Laid { ends, from, z: span.factor(from, to) }
+    }
+
+    /// The cells of all bitmaps in which the first ends lie.
+    fn cells_of(&self, ends: &Ends, cells: &mut Vec<[[f32; LANES]; 2]>) {
+        let points = self.search.field.points();
+        cells.clear();
+        cells.extend(self.search.bitmaps.iter().map(|bitmap| {
+            let (mut columns, mut rows) = ([0.0; LANES], [0.0; LANES]);
+            for lane in 0..LANES {
+                let (column, row) = bitmap.cell_of(points[ends.first[lane] as usize]);
+                (columns[lane], rows[lane]) = (column as f32, row as f32);
+            }
+            [columns, rows]
+        }));
     }
 
     /// The hypothesis of a lane with its score, where it may be among the best of its pair.
@@ -295,32 +327,32 @@ impl<'a> View<'a> {
         &self,
         (seen, lane, count): (&Seen, usize, usize),
         targets: &[Target],
-        end: u32,
+        ends: (usize, usize),
         (demand, bar): (Demand, &Bar<'_>),
     ) -> Option<Hypothesis> {
-        let laid = self.hypothesis(end);
+        let laid = self.hypothesis(ends);
         let inside = self.search.inside(laid, targets);
         if !bar.lets_by(most_score(targets, seen.of(lane), (count, inside))) {
             return None;
         }
         let score = self.search.verify(laid, targets, (seen.of(lane), inside), demand)?;
-        Some(Hypothesis { score, i: self.i as u32, j: end })
+        Some(Hypothesis { score, i: ends.0 as u32, j: ends.1 as u32 })
     }
 
-    /// The factors of the hypotheses with these second ends, real and imaginary parts.
+    /// The factors of the hypotheses with these ends, real and imaginary parts.
     #[inline(always)]
-    fn factors(&self, ends: &[u32; LANES]) -> [[f32; LANES]; 2] {
-        let View { search, span, i } = self;
+    fn factors(&self, ends: &Ends) -> [[f32; LANES]; 2] {
+        let View { search, span } = self;
         let points = search.field.points();
-        let from = points[*i];
         let (mut x_px, mut y_px) = ([0.0; LANES], [0.0; LANES]);
         for lane in 0..LANES {
-            let to = points[ends[lane] as usize];
-            (x_px[lane], y_px[lane]) = (to.x, to.y);
+            let (from, to) = (points[ends.first[lane] as usize], points[ends.second[lane] as usize]);
+            (x_px[lane], y_px[lane]) = (to.x - from.x, to.y - from.y);
         }
+        let origin = PixelPoint { x: 0.0, y: 0.0 };
         let (mut z_re, mut z_im) = ([0f32; LANES], [0f32; LANES]);
         for lane in 0..LANES {
-            let z = span.factor(from, PixelPoint { x: x_px[lane], y: y_px[lane] });
+            let z = span.factor(origin, PixelPoint { x: x_px[lane], y: y_px[lane] });
             (z_re[lane], z_im[lane]) = (z.0 as f32, z.1 as f32);
         }
         [z_re, z_im]
@@ -329,23 +361,20 @@ impl<'a> View<'a> {
     #[inline(always)]
     fn sight_of(&self, target: &Target) -> Sight<'a> {
         let bitmap: &'a Bitmap = &self.search.bitmaps[target.bitmap];
-        let (x0, y0) = bitmap.cell_of(self.search.field.points()[self.i]);
         Sight {
             words: &bitmap.bits,
             columns: bitmap.columns as u32,
             cells: [bitmap.columns as f32, bitmap.rows as f32],
-            from: [x0 as f32, y0 as f32],
             offset: [(target.east * bitmap.cells_per_px) as f32, (target.north * bitmap.cells_per_px) as f32],
         }
     }
 }
 
-/// A target's bitmap as seen from the first end, all in its cells.
+/// A target's bitmap and its offset, in its cells.
 struct Sight<'a> {
     words: &'a [u32],
     columns: u32,
     cells: [f32; 2],
-    from: [f32; 2],
     /// East and north from the pair's first GCP.
     offset: [f32; 2],
 }
@@ -353,13 +382,13 @@ struct Sight<'a> {
 impl Sight<'_> {
     /// For each hypothesis 1 where a candidate may be, 0 elsewhere.
     #[inline(always)]
-    fn look(&self, [z_re, z_im]: &[[f32; LANES]; 2]) -> [u32; LANES] {
-        let Sight { words, columns, cells, from: [x0, y0], offset: [east, north] } = self;
+    fn look(&self, [x0, y0]: &[[f32; LANES]; 2], [z_re, z_im]: &[[f32; LANES]; 2]) -> [u32; LANES] {
+        let Sight { words, columns, cells, offset: [east, north] } = self;
         let (mut at, mut bits) = ([0u32; LANES], [0u32; LANES]);
         for lane in 0..LANES {
             let (re, im) = (z_re[lane], z_im[lane]);
-            let column = cell(x0 + (re * east - im * north), cells[0]);
-            let row = cell(y0 - (re * north + im * east), cells[1]);
+            let column = cell(x0[lane] + (re * east - im * north), cells[0]);
+            let row = cell(y0[lane] - (re * north + im * east), cells[1]);
             at[lane] = row * columns + column;
         }
         for lane in 0..LANES {
@@ -398,17 +427,19 @@ mod tests {
         let (search, pairs, _) = Search::new(&all, &gcps, &priors, 0.0).expect("hypotheses are possible");
         let (mut hits, mut more) = (0, 0);
         for pair in &pairs[..20] {
-            let (targets, i) = (search.targets(pair, search.tolerance_px), pair.a);
-            let view = View { search: &search, span: search.span(pair), i };
+            let targets = search.targets(pair, search.tolerance_px);
+            let view = View { search: &search, span: search.span(pair) };
             for first in (20..260).step_by(4 * LANES) {
-                let ends: [u32; LANES] = std::array::from_fn(|lane| first + 4 * lane as u32);
-                let (mut one, mut other) = (vec![[0; LANES]; 1], vec![[0; LANES]; 1]);
-                Looks { view: &view, targets: &targets, ends: &ends, words: &mut one }.run();
-                widest(Looks { view: &view, targets: &targets, ends: &ends, words: &mut other });
+                let second = std::array::from_fn(|lane| first + 4 * lane as u32);
+                let ends = Ends { first: std::array::from_fn(|lane| (pair.a + lane / 5) as u32), second };
+                let (mut one, mut other, mut from) = (vec![[0; LANES]; 1], vec![[0; LANES]; 1], Vec::new());
+                view.cells_of(&ends, &mut from);
+                Looks { view: &view, targets: &targets, ends: &ends, from: &from, words: &mut one }.run();
+                widest(Looks { view: &view, targets: &targets, ends: &ends, from: &from, words: &mut other });
                 assert_eq!(one, other);
-                let seen = Seen { words: one };
-                for (lane, end) in ends.into_iter().enumerate() {
-                    let laid = view.hypothesis(end);
+                let seen = Seen { words: one, from };
+                for lane in 0..LANES {
+                    let laid = view.hypothesis(ends.of(lane));
                     for (k, target) in targets.iter().enumerate() {
                         let p = laid.place(target);
                         let expected = search.field.contains(p) && search.bitmaps[target.bitmap].may_hold(p);
@@ -438,9 +469,9 @@ mod tests {
             let demand = Demand { fewest: search.fewest_hits(&targets, search.tolerance_px), first_looks };
             let mut expected = Vec::new();
             for i in 0..candidates.len() {
-                let view = View { search: &search, span: search.span(pair), i };
+                let view = View { search: &search, span: search.span(pair) };
                 search.ends_of(pair, i, |j, _| {
-                    let laid = view.hypothesis(j as u32);
+                    let laid = view.hypothesis((i, j));
                     let inside = search.inside(laid, &targets);
                     let score = search.verify(laid, &targets, (0..targets.len(), inside), demand);
                     expected.extend(score.map(|score| Hypothesis { score, i: i as u32, j: j as u32 }));

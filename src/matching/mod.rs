@@ -41,6 +41,7 @@ mod looks;
 mod mirrored;
 mod names;
 mod predictions;
+mod repetition;
 mod rivals;
 pub mod robust;
 mod screening;

@@ -8,9 +8,11 @@ use rayon::prelude::*;
 
 use crate::matching::Pattern;
 use crate::matching::looks::Bar;
+use crate::matching::repetition::Repetition;
 use crate::matching::robust::{REPETITION_LOG10, RUNNER_UP_GAP};
 use crate::matching::screening::Screening;
 use crate::matching::search::{GcpPair, Hypothesis, Search, Tried};
+use crate::matching::settle::FEWEST_NEAR;
 use autoref_raster::random::mix;
 use autoref_solve::Similarity;
 
@@ -35,10 +37,24 @@ impl Search<'_> {
     /// The most likely rivals of `pattern`, and the number of hypotheses tried. `tried` of the `pairs` have been looked
     /// at by the search, for the work of so many hypotheses with every look.
     pub fn rivals(&self, pattern: &Pattern, pairs: &[GcpPair], tried: (usize, u64)) -> (Vec<Pattern>, u64) {
+        let moved = self.moved_on(pattern);
+        if moved.iter().any(|rival| self.is_reason_enough(rival, pattern)) {
+            return (moved, 0);
+        }
         let (mut rivals, few) = self.on_the_same_marks(pattern, pairs);
         let (others, many) = self.of_the_same_gcps(pattern, &pairs[tried.0..], (tried.1 / 2).max(FEWEST_TRIED));
         rivals.extend(others);
         (rivals, few + many)
+    }
+
+    /// The pattern moved on and back in a list that repeats itself.
+    fn moved_on(&self, pattern: &Pattern) -> Vec<Pattern> {
+        let Some(repetition) = Repetition::of(self.gcps) else { return Vec::new() };
+        let allowed = |pairs: &Vec<(usize, usize)>| {
+            pairs.len() >= FEWEST_NEAR && pairs.iter().all(|&(candidate, gcp)| self.allows(candidate, gcp))
+        };
+        let moved = repetition.moved(&pattern.pairs).into_iter().filter(allowed);
+        moved.filter_map(|pairs| self.weighed(pairs)).filter(|rival| self.possible(&rival.similarity)).collect()
     }
 
     /// Other GCPs laid on the marks of the pattern.

@@ -12,7 +12,8 @@ use crate::gcp::{Gcp, GcpRole};
 use crate::matching::explain::explain;
 use crate::matching::grow::GROWN_FROM;
 use crate::matching::names::Names;
-use crate::matching::search::{GcpPair, Hypothesis, LOOKS_OF_ONE, REFINED_PER_PAIR, Search, Tried};
+use crate::matching::repetition::Repetition;
+use crate::matching::search::{GcpPair, Hypothesis, LONG, LOOKS_OF_ONE, REFINED_PER_PAIR, Search, Tried};
 use crate::matching::waiting::Waiting;
 use crate::matching::{Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, Solved, TimeLimit};
 use autoref_raster::coords::MapPoint;
@@ -37,6 +38,10 @@ const GUIDED_FIRST: usize = 2000;
 const GUIDED_STEP: usize = 4;
 /// One part in so many of the budget of hypotheses for each search among fewer than all, and for patterns that grow.
 const EARLY_SHARE: u64 = 8;
+/// A list that repeats itself is refused whatever is found, a long list with a known scale is searched with few looks:
+/// they get such a part of the budget.
+const REPEATED_PART: u64 = 5;
+const LONG_PART: u64 = 2;
 const GROWTH_SHARE: u64 = 3;
 /// How often a rival may take the first place before the last is left there; two so close are refused anyhow.
 const MOST_CHALLENGES: usize = 3;
@@ -70,8 +75,7 @@ impl Matcher for RobustMatcher {
         let all: Vec<&Candidate> = candidates.iter().collect();
         let labels = Labels::new(gcps);
         if Names::new(&all, &labels, &control).is_none() {
-            let found = self.search_guided(candidates, &positions, priors, None);
-            return self.decide(found, candidates.len(), &control, priors);
+            return self.by_places(candidates, (&control, &positions), priors);
         }
         // With the names and without them: two chances for a false alarm.
         let twice = RobustMatcher { tries: 2.0 * self.tries, ..self.clone() };
@@ -83,8 +87,7 @@ impl Matcher for RobustMatcher {
         {
             return solved;
         }
-        let found = twice.search_guided(candidates, &positions, priors, None);
-        let mut outcome = twice.decide(found, candidates.len(), &control, priors);
+        let mut outcome = twice.by_places(candidates, (&control, &positions), priors);
         if let MatchOutcome::NoMatch(evidence) = &mut outcome {
             evidence.advice.push(unheeded(names));
         }
@@ -113,6 +116,28 @@ pub(super) fn control_points(gcps: &[Gcp]) -> (Vec<usize>, Vec<MapPoint>) {
 }
 
 impl RobustMatcher {
+    /// The answer without names. A list that repeats itself is refused whatever is found; the search for it is short.
+    fn by_places(
+        &self,
+        candidates: &[Candidate],
+        (control, positions): (&[usize], &[MapPoint]),
+        priors: &Priors,
+    ) -> MatchOutcome {
+        let repetition = Repetition::of(positions);
+        let part = match repetition {
+            Some(_) => REPEATED_PART,
+            None if positions.len() >= LONG && priors.narrow_by_scale() => LONG_PART,
+            None => 1,
+        };
+        let matcher = RobustMatcher { budget_hypotheses: self.budget_hypotheses / part, ..self.clone() };
+        let found = matcher.search_guided(candidates, positions, priors, None);
+        let mut outcome = matcher.decide(found, candidates.len(), control, priors);
+        if let (MatchOutcome::NoMatch(evidence), Some(repetition)) = (&mut outcome, repetition) {
+            evidence.advice.insert(0, repetition.advice());
+        }
+        outcome
+    }
+
     /// Whether the best pattern is rare enough, by itself and beside the runner-up.
     fn believes(&self, found: &Found, gcps: usize) -> bool {
         let Some(best) = &found.best else { return false };
@@ -223,11 +248,28 @@ impl Work {
         self.since_refined += cost;
     }
 
+    /// What refining the best will take.
+    fn refining(&self) -> u64 {
+        let (patterns, cost) = self.refined;
+        REFINED_PER_PAIR as u64 * cost.checked_div(patterns).unwrap_or(10 * self.gcps)
+    }
+
     /// Whether trying took as long as refining the best will.
     fn is_worth_refining(&self) -> bool {
-        let (patterns, cost) = self.refined;
-        let each = cost.checked_div(patterns).unwrap_or(10 * self.gcps);
-        self.since_refined >= REFINED_PER_PAIR as u64 * each
+        self.since_refined >= self.refining()
+    }
+
+    /// How many of the next pairs, one at least, are about enough for it and no more than may be done.
+    fn worth_refining(&self, pairs: &[GcpPair], hypotheses_left: u64) -> usize {
+        let (mut cost, mut hypotheses) = (self.since_refined, 0);
+        let each = self.each();
+        let few = pairs.iter().take_while(|pair| {
+            let is_wanted = cost < self.refining();
+            cost += pair.hypotheses() * each + self.gcps;
+            hypotheses += pair.hypotheses();
+            is_wanted && hypotheses <= hypotheses_left
+        });
+        few.count().max(1)
     }
 
     /// Some weighings, each of every point in the image against every other.
@@ -374,30 +416,30 @@ impl RobustMatcher {
         let mut work =
             Work { done: done_before, allowed: budget, gcps, tried: Tried::default(), looks, ..Work::default() };
         let mut waiting = Waiting::new();
-        for pair in &pairs {
-            // One decade below the limit chance has no say any more; repetition is asked about below. A pattern that
-            // leaves out most of what is expected in the image does not end the search: a better one may be made of its
-            // points.
-            if found.best.as_ref().is_some_and(|best| best.log10_whole_false_alarms <= limit - 1.0)
-                || done >= screening.pairs
-            {
-                break;
-            }
+        // One decade below the limit chance has no say any more; repetition is asked about below. A pattern that leaves
+        // out most of what is expected in the image does not end the search: a better one may be made of its points.
+        let is_settled =
+            |found: &Found| found.best.as_ref().is_some_and(|best| best.log10_whole_false_alarms <= limit - 1.0);
+        let enough = screening.pairs.min(pairs.len());
+        while done < enough && !is_settled(&found) {
             if self.time_limit.is_over() {
                 (found.effort.budget_spent, found.effort.search_cut) = (true, true);
                 break;
             }
             let left = work.hypotheses_left();
-            let first_looks = (screening.first_looks, waiting.bar());
-            let (hypotheses, tried) = search.try_pair_above(pair, first_looks, pair.worth(left));
-            done += 1;
-            found.effort.hypotheses_tried += tried.hypotheses;
-            work.tried(tried);
-            waiting.take(pair, hypotheses);
+            let together = &pairs[done..done + work.worth_refining(&pairs[done..enough], left)];
+            let looks = (screening.first_looks, waiting.bar());
+            let tried = search.try_pairs(together, looks, left);
+            done += together.len();
+            for (pair, (hypotheses, tried)) in together.iter().zip(tried) {
+                found.effort.hypotheses_tried += tried.hypotheses;
+                work.tried(tried);
+                waiting.take(pair, hypotheses);
+            }
             if work.is_worth_refining() {
                 found.refine(waiting.next(), &search, &mut work);
             }
-            if left < pair.hypotheses() || work.hypotheses_left() == 0 {
+            if left < together[0].hypotheses() || work.hypotheses_left() == 0 {
                 found.effort.budget_spent = true;
                 break;
             }

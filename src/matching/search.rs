@@ -33,10 +33,16 @@ const CROWD: usize = 3000;
 const WORTH_THREADS: u64 = 10_000;
 /// Looks at other GCPs of which one takes as long as the rest of a hypothesis.
 pub(super) const LOOKS_OF_ONE: u64 = 16;
+/// Where a first end has fewer second ends, hypotheses with different first ends are looked at together.
+const FEW_ENDS: usize = 16;
 /// A budget that is enough for less than this share of a pair's hypotheses is spent in part only.
 const LEAST_SHARE: f64 = 0.1;
 /// How often a search that tries pairs in a random order may miss a pattern that could be believed.
 const PATTERN_MISSED: f64 = 0.01;
+/// From so many points on hypotheses of a known scale are dropped too that hit nothing with their first looks, ...
+pub(super) const LONG: usize = 60;
+/// ... few enough that a pattern is noticed by one in so many of its pairs.
+const PAIRS_BY_BUDGET: usize = 4;
 /// More hits than this leave no doubt.
 const MOST_HITS: usize = 32;
 
@@ -266,7 +272,8 @@ impl<'a> Search<'a> {
     /// pairs and all looks where the order is not random.
     pub fn screening(&self, log10_limit: f64, pairs: usize) -> Screening {
         let whole = Screening { pairs, first_looks: Screening::EVERY_LOOK };
-        if self.priors.narrow_by_scale() || self.gcps.len() < 3 {
+        let in_random_order = !self.priors.narrow_by_scale();
+        if self.gcps.len() < 3 || (!in_random_order && self.gcps.len() < LONG) {
             return whole;
         }
         // The fewest marks that could ever be believed: each as near as can be, all points in the image.
@@ -275,7 +282,14 @@ impl<'a> Search<'a> {
         let chances = vec![closest; self.gcps.len() - 2];
         let believed = |hits: &usize| self.log10_tests + log10_of_levels() + log10_tail(&chances, *hits) <= log10_limit;
         let Some(hits) = (1..=chances.len()).find(believed) else { return whole };
-        Screening::shortest(hits, chances.len(), pairs, PATTERN_MISSED)
+        if in_random_order {
+            return Screening::shortest(hits, chances.len(), pairs, PATTERN_MISSED);
+        }
+        // The budget may end before all pairs were tried.
+        let marks = hits + 2;
+        let first_looks =
+            Screening::of_all_pairs(hits, chances.len(), marks * (marks - 1) / 2 / PAIRS_BY_BUDGET, PATTERN_MISSED);
+        Screening { pairs, first_looks }
     }
 
     /// With names, which forbid pairs.
@@ -317,8 +331,15 @@ impl<'a> Search<'a> {
         self.try_pair_within(self.tolerance_px, pair, (first_looks, Bar::of(REFINED_PER_PAIR)), budget)
     }
 
-    /// The same without what stays below a bar.
-    pub fn try_pair_above(
+    /// The same of each pair, without what stays below a bar.
+    pub fn try_pairs(&self, pairs: &[GcpPair], looks: (usize, &Bar<'_>), budget: u64) -> Vec<(Vec<Hypothesis>, Tried)> {
+        match pairs {
+            [pair] => vec![self.try_pair_above(pair, looks, pair.worth(budget))],
+            pairs => pairs.par_iter().map(|pair| self.try_pair_above(pair, looks, u64::MAX)).collect(),
+        }
+    }
+
+    fn try_pair_above(
         &self,
         pair: &GcpPair,
         (first_looks, above): (usize, &Bar<'_>),
@@ -341,6 +362,13 @@ impl<'a> Search<'a> {
             return (Vec::new(), Tried::default());
         }
         let demand = Demand { fewest, first_looks };
+        if pair.cost < (FEW_ENDS * self.field.points().len()) as f64 && pair.hypotheses() <= budget {
+            let mut looking = Looking::new(self, pair, (demand, &bar));
+            for i in 0..self.field.points().len() {
+                self.ends_of(pair, i, |j, _| looking.take(&targets, (i, j)));
+            }
+            return looking.best(&targets);
+        }
         let per_point = |i: usize| self.try_point(pair, &targets, (demand, &bar), i);
         self.over_chosen_points(pair, budget, per_point, keep_best)
     }
@@ -397,20 +425,16 @@ impl<'a> Search<'a> {
         if targets.len() < demand.fewest {
             return (Vec::new(), Tried::default());
         }
-        let (mut all, mut tried, bar) = (Vec::new(), Tried::default(), Bar::under(above, REFINED_PER_PAIR));
+        let bar = Bar::under(above, REFINED_PER_PAIR);
+        let mut looking = Looking::new(self, pair, (demand, &bar));
         for &i in points.iter().filter(|i| self.allows(**i, pair.a)) {
             let from = self.field.points()[i];
             let ends = points
                 .iter()
                 .filter(|&&j| j != i && self.allows(j, pair.b) && self.may_span(pair, from, self.field.points()[j]));
-            let mut looking = Looking::new(self, pair, (demand, &bar), i);
-            ends.for_each(|&j| looking.take(&targets, j));
-            let (best, n) = looking.best(&targets);
-            all.extend(best);
-            tried = tried + n;
+            ends.for_each(|&j| looking.take(&targets, (i, j)));
         }
-        keep_best(&mut all);
-        (all, tried)
+        looking.best(&targets)
     }
 
     /// Other GCPs as a hypothesis about `pair` predicts them, most certain first.
@@ -479,7 +503,7 @@ impl<'a> Search<'a> {
             if targets.len() < demand.fewest {
                 return;
             }
-            looking.get_or_insert_with(|| Looking::new(self, pair, (demand, bar), i)).take(targets, j);
+            looking.get_or_insert_with(|| Looking::new(self, pair, (demand, bar))).take(targets, (i, j));
         });
         looking.zip(in_reach.get()).map_or_else(Default::default, |(looking, targets)| looking.best(targets))
     }
