@@ -30,6 +30,13 @@ pub(super) struct Repetition {
     onto: Vec<Option<usize>>,
 }
 
+/// Which way points are moved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Way {
+    On,
+    Back,
+}
+
 impl Repetition {
     /// The move, other than none, by which most of a long list lies upon itself.
     pub fn of(gcps: &[MapPoint]) -> Option<Repetition> {
@@ -49,13 +56,13 @@ impl Repetition {
         (0..BASES).find_map(|_| by_base(&field, inner_pair(field.points(), &mut draws)?, off_m))
     }
 
-    /// Candidates joined to points, the points moved on by the repetition, and moved back by it.
-    pub fn moved(&self, pairs: &[(usize, usize)]) -> [Vec<(usize, usize)>; 2] {
-        let back = |of: usize| self.onto.iter().position(|onto| *onto == Some(of));
-        let by = |to: &dyn Fn(usize) -> Option<usize>| {
-            pairs.iter().filter_map(|&(candidate, gcp)| Some((candidate, to(gcp)?))).collect()
+    /// Candidates joined to points, the points moved on by the repetition, or back.
+    pub fn moved(&self, pairs: &[(usize, usize)], way: Way) -> Vec<(usize, usize)> {
+        let to = |gcp: usize| match way {
+            Way::On => self.onto[gcp],
+            Way::Back => self.onto.iter().position(|onto| *onto == Some(gcp)),
         };
-        [by(&|gcp| self.onto[gcp]), by(&back)]
+        pairs.iter().filter_map(|&(candidate, gcp)| Some((candidate, to(gcp)?))).collect()
     }
 
     /// What is said of it to who is refused.
@@ -171,7 +178,7 @@ mod tests {
         assert!((found.moved_m - 0.962).abs() < 0.002 && found.turned_deg.abs() < 0.05, "{found:?}");
         assert_eq!(found.onto.iter().flatten().count(), 149);
         assert!(found.advice().contains("moved by 0.96 m, 149 of its 150 points"), "{}", found.advice());
-        let [on, back] = found.moved(&[(7, 20), (9, 149), (3, 0)]);
+        let [on, back] = [Way::On, Way::Back].map(|way| found.moved(&[(7, 20), (9, 149), (3, 0)], way));
         assert_eq!((on.len(), back.len()), (2, 2), "an end has no next point: {on:?}, {back:?}");
         assert_eq!((on[0].0, back[0].0), (7, 7));
         assert_eq!(on[0].1.abs_diff(20) + back[0].1.abs_diff(20), 2, "a step on and a step back");

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::matching::Pattern;
 use crate::matching::looks::Bar;
-use crate::matching::repetition::Repetition;
+use crate::matching::repetition::{Repetition, Way};
 use crate::matching::robust::{REPETITION_LOG10, RUNNER_UP_GAP};
 use crate::matching::screening::Screening;
 use crate::matching::search::{GcpPair, Hypothesis, Search, Tried};
@@ -21,6 +21,9 @@ const REFINED: usize = 12;
 /// Hypotheses about the pattern's own GCPs that are tried in any case; half as many as the search took when that is
 /// more.
 const FEWEST_TRIED: u64 = 200_000;
+/// How often a pattern is moved in a list that repeats itself: where the whole list lies in a few pixels, many steps
+/// are no other place.
+const MOST_MOVES: usize = 32;
 /// Marks of the pattern at the two ends of a hypothesis of the first question. A rival that speaks against a pattern
 /// explains half of its marks at least; of so many, drawn at random, fewer than two are among these in one case of
 /// 600,000 (25 · 2⁻²⁴).
@@ -47,14 +50,20 @@ impl Search<'_> {
         (rivals, few + many)
     }
 
-    /// The pattern moved on and back in a list that repeats itself.
+    /// The pattern moved on and back in a list that repeats itself, until it says something else.
     fn moved_on(&self, pattern: &Pattern) -> Vec<Pattern> {
         let Some(repetition) = Repetition::of(self.gcps) else { return Vec::new() };
-        let allowed = |pairs: &Vec<(usize, usize)>| {
-            pairs.len() >= FEWEST_NEAR && pairs.iter().all(|&(candidate, gcp)| self.allows(candidate, gcp))
+        let other = |pairs: &Vec<(usize, usize)>| {
+            let is_allowed = pairs.iter().all(|&(candidate, gcp)| self.allows(candidate, gcp));
+            let rival = is_allowed.then(|| self.weighed(pairs.clone())).flatten()?;
+            (self.possible(&rival.similarity) && !self.same_claim(&rival, pattern)).then_some(rival)
         };
-        let moved = repetition.moved(&pattern.pairs).into_iter().filter(allowed);
-        moved.filter_map(|pairs| self.weighed(pairs)).filter(|rival| self.possible(&rival.similarity)).collect()
+        let by = |way: Way| {
+            let next = |pairs: &Vec<(usize, usize)>| Some(repetition.moved(pairs, way));
+            let moves = std::iter::successors(next(&pattern.pairs), next).take(MOST_MOVES);
+            moves.take_while(|pairs| pairs.len() >= FEWEST_NEAR).find_map(|pairs| other(&pairs))
+        };
+        [Way::On, Way::Back].into_iter().filter_map(by).collect()
     }
 
     /// Other GCPs laid on the marks of the pattern.
