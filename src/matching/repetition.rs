@@ -131,9 +131,9 @@ fn by_base(field: &Field, (a, b): (usize, usize), off_m: f64) -> Option<Repetiti
             if !is_as_long(c, d) {
                 continue;
             }
-            let (first, second) = (distance(points[a], points[c]), distance(points[b], points[d]));
-            if first.max(second) > MOVED * off_m {
-                ends.push((first, c, d));
+            let move_m = distance(points[a], points[c]).max(distance(points[b], points[d]));
+            if move_m > MOVED * off_m {
+                ends.push((move_m, c, d));
             }
         }
     }
