@@ -8,7 +8,8 @@
 //! survives is settled and weighed as every other pattern; nothing is believed because it grew.
 
 use crate::matching::Pattern;
-use crate::matching::search::{GcpPair, Search, Tried};
+use crate::matching::pairs::GcpPair;
+use crate::matching::search::{Search, Tried};
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::similarity::fit_equal_weights;
 

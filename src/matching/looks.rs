@@ -11,8 +11,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use crate::matching::bitmap::Bitmap;
+use crate::matching::pairs::GcpPair;
 use crate::matching::search::{
-    Demand, GcpPair, Hypothesis, Laid, REFINED_PER_PAIR, Search, Span, Target, Tried, cost_of_choice, keep_best,
+    Demand, Hypothesis, Laid, REFINED_PER_PAIR, Search, Span, Target, Tried, cost_of_choice, keep_best,
 };
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::simd::{Kernel, widest};
@@ -40,8 +41,7 @@ impl<'s> Looking<'s> {
         Looking { fresh: Batch::new(), seen: Seen::default(), later, hypotheses: 0 }
     }
 
-    /// The hypothesis with these points at the ends; they must be able to reach all these targets, or the targets be
-    /// the same for all hypotheses.
+    /// The hypothesis with these points at the ends; the targets are the same for all.
     #[inline]
     pub fn take(&mut self, targets: &[Target], ends: (usize, usize)) {
         self.hypotheses += 1;

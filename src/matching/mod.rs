@@ -40,6 +40,7 @@ mod grow;
 mod looks;
 mod mirrored;
 mod names;
+mod pairs;
 mod predictions;
 mod repetition;
 mod rivals;

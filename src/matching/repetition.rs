@@ -3,6 +3,7 @@
 //! Whatever part of such a list has marks, the same marks fit the moved list as well, and neither is believed
 //! ([`super::rivals`]). A long search would end with the same answer.
 
+use crate::matching::Priors;
 use crate::matching::draws::Draws;
 use crate::matching::field::Field;
 use crate::matching::search::LONG;
@@ -38,8 +39,9 @@ pub(super) enum Way {
 }
 
 impl Repetition {
-    /// The move, other than none, by which most of a long list lies upon itself.
-    pub fn of(gcps: &[MapPoint]) -> Option<Repetition> {
+    /// The move, other than none, by which most of a long list lies upon itself; where the direction of north is known,
+    /// one that turns it no farther than a rival may be turned.
+    pub fn of(gcps: &[MapPoint], priors: &Priors) -> Option<Repetition> {
         // Shorter lists are searched in no time.
         if gcps.len() < LONG {
             return None;
@@ -53,7 +55,11 @@ impl Repetition {
         }
         let field = Field::new(points, None);
         let mut draws = Draws::new(0x5851_F42D_4C95_7F2D);
-        (0..BASES).find_map(|_| by_base(&field, inner_pair(field.points(), &mut draws)?, off_m))
+        let most_turned_deg = priors.rotation_deg.map_or(180.0, |(_, half)| 2.0 * half);
+        (0..BASES).find_map(|_| {
+            let base = inner_pair(field.points(), &mut draws)?;
+            by_base(&field, base, (off_m, most_turned_deg))
+        })
     }
 
     /// Candidates joined to points, the points moved on by the repetition, or back.
@@ -117,7 +123,7 @@ fn inner_pair(points: &[PixelPoint], draws: &mut Draws) -> Option<(usize, usize)
 }
 
 /// The least move that lays a pair on another one as long, and most points on points.
-fn by_base(field: &Field, (a, b): (usize, usize), off_m: f64) -> Option<Repetition> {
+fn by_base(field: &Field, (a, b): (usize, usize), (off_m, most_turned_deg): (f64, f64)) -> Option<Repetition> {
     let points = field.points();
     let length = distance(points[a], points[b]);
     let (least, most) = ((length - off_m).max(0.0).powi(2), (length + off_m).powi(2));
@@ -141,6 +147,11 @@ fn by_base(field: &Field, (a, b): (usize, usize), off_m: f64) -> Option<Repetiti
     ends.into_iter().find_map(|(_, c, d)| {
         let direction = |from: usize, to: usize| (points[to].y - points[from].y).atan2(points[to].x - points[from].x);
         let turn = direction(c, d) - direction(a, b);
+        let turned_deg = turn.to_degrees();
+        let turned_deg = turned_deg - 360.0 * (turned_deg / 360.0).round();
+        if turned_deg.abs() > most_turned_deg {
+            return None;
+        }
         let (sin, cos) = turn.sin_cos();
         let moved = |p: PixelPoint| {
             let (x, y) = (p.x - points[a].x, p.y - points[a].y);
@@ -153,8 +164,6 @@ fn by_base(field: &Field, (a, b): (usize, usize), off_m: f64) -> Option<Repetiti
         }
         let onto: Vec<Option<usize>> = (0..points.len()).map(onto).collect();
         let middle = moved(PixelPoint { x: 0.0, y: 0.0 });
-        let turned_deg = turn.to_degrees();
-        let turned_deg = turned_deg - 360.0 * (turned_deg / 360.0).round();
         let repeats = onto.iter().flatten().count() as f64 >= REPEATED * points.len() as f64;
         repeats.then(|| Repetition { moved_m: middle.x.hypot(middle.y), turned_deg, onto })
     })
@@ -165,6 +174,10 @@ mod tests {
     use super::*;
     use autoref_raster::random::SplitMix64;
 
+    fn of(gcps: &[MapPoint]) -> Option<Repetition> {
+        Repetition::of(gcps, &Priors::default())
+    }
+
     fn at(places: impl Iterator<Item = (f64, f64)>) -> Vec<MapPoint> {
         places.map(|(x, y)| MapPoint { easting: 570_000.0 + x, northing: 7_030_000.0 + y }).collect()
     }
@@ -174,7 +187,7 @@ mod tests {
     fn rows_and_grids_repeat_themselves() {
         let rounded = |v: f64| (v * 1000.0).round() / 1000.0;
         let row = at((0..150).map(|i| (rounded(0.9137 * f64::from(i)), rounded(0.3011 * f64::from(i)))));
-        let found = Repetition::of(&row).expect("a row in equal steps");
+        let found = of(&row).expect("a row in equal steps");
         assert!((found.moved_m - 0.962).abs() < 0.002 && found.turned_deg.abs() < 0.05, "{found:?}");
         assert_eq!(found.onto.iter().flatten().count(), 149);
         assert!(found.advice().contains("moved by 0.96 m, 149 of its 150 points"), "{}", found.advice());
@@ -185,7 +198,7 @@ mod tests {
 
         let cell = |i: u32| (13.0 * f64::from(i % 20), 8.0 * f64::from(i / 20));
         let missing = |i: &u32| i % 31 != 7;
-        assert!(Repetition::of(&at((0..400).filter(missing).map(cell))).is_some());
+        assert!(of(&at((0..400).filter(missing).map(cell))).is_some());
     }
 
     /// Half a turn about the middle of a list lays it on itself, whatever else it looks like.
@@ -194,9 +207,12 @@ mod tests {
         let mut random = SplitMix64(3);
         let half: Vec<(f64, f64)> = (0..60).map(|_| (300.0 * random.unit(), 200.0 * random.unit())).collect();
         let turned = half.iter().map(|(x, y)| (310.0 - x, 200.0 - y));
-        let found = Repetition::of(&at(half.iter().copied().chain(turned))).expect("the same under half a turn");
+        let list = at(half.iter().copied().chain(turned));
+        let found = of(&list).expect("the same under half a turn");
         assert!((found.turned_deg.abs() - 180.0).abs() < 0.1 && found.moved_m < 0.1, "{found:?}");
         assert!(found.advice().contains("180.0°"), "{}", found.advice());
+        let north_up = Priors { rotation_deg: Some((0.0, 15.0)), ..Priors::default() };
+        assert_eq!(Repetition::of(&list, &north_up), None, "north tells which way round");
     }
 
     #[test]
@@ -204,14 +220,14 @@ mod tests {
         let mut random = SplitMix64(9);
         let mut unit = || random.unit();
         let anywhere: Vec<(f64, f64)> = (0..300).map(|_| (180.0 * unit(), 120.0 * unit())).collect();
-        assert_eq!(Repetition::of(&at(anywhere.iter().copied())), None);
+        assert_eq!(of(&at(anywhere.iter().copied())), None);
         // Every point twice, a hand apart: half of them lie on others when moved by that.
         let twice = anywhere.iter().flat_map(|&(x, y)| [(x, y), (x + 0.1, y)]);
-        assert_eq!(Repetition::of(&at(twice)), None);
+        assert_eq!(of(&at(twice)), None);
         // A road's two rows, irregular by a few decimetres.
         let road = at((0..200).map(|i| (0.9 * f64::from(i) + 0.3 * unit(), 3.0 * f64::from(i % 2) + 0.3 * unit())));
-        assert_eq!(Repetition::of(&road), None);
-        assert_eq!(Repetition::of(&at((0..20).map(|i| (f64::from(i), 0.0)))), None, "a short list");
-        assert_eq!(Repetition::of(&at((0..80).map(|_| (5.0, 5.0)))), None, "one place");
+        assert_eq!(of(&road), None);
+        assert_eq!(of(&at((0..20).map(|i| (f64::from(i), 0.0)))), None, "a short list");
+        assert_eq!(of(&at((0..80).map(|_| (5.0, 5.0)))), None, "one place");
     }
 }

@@ -8,10 +8,11 @@ use rayon::prelude::*;
 
 use crate::matching::Pattern;
 use crate::matching::looks::Bar;
+use crate::matching::pairs::GcpPair;
 use crate::matching::repetition::{Repetition, Way};
 use crate::matching::robust::{REPETITION_LOG10, RUNNER_UP_GAP};
 use crate::matching::screening::Screening;
-use crate::matching::search::{GcpPair, Hypothesis, Search, Tried};
+use crate::matching::search::{Hypothesis, Search, Tried};
 use crate::matching::settle::FEWEST_NEAR;
 use autoref_raster::random::mix;
 use autoref_solve::Similarity;
@@ -52,7 +53,7 @@ impl Search<'_> {
 
     /// The pattern moved on and back in a list that repeats itself, until it says something else.
     fn moved_on(&self, pattern: &Pattern) -> Vec<Pattern> {
-        let Some(repetition) = Repetition::of(self.gcps) else { return Vec::new() };
+        let Some(repetition) = Repetition::of(self.gcps, self.priors) else { return Vec::new() };
         let other = |pairs: &Vec<(usize, usize)>| {
             let is_allowed = pairs.iter().all(|&(candidate, gcp)| self.allows(candidate, gcp));
             let rival = is_allowed.then(|| self.weighed(pairs.clone())).flatten()?;

@@ -12,8 +12,9 @@ use crate::gcp::{Gcp, GcpRole};
 use crate::matching::explain::explain;
 use crate::matching::grow::GROWN_FROM;
 use crate::matching::names::Names;
+use crate::matching::pairs::GcpPair;
 use crate::matching::repetition::Repetition;
-use crate::matching::search::{GcpPair, Hypothesis, LONG, LOOKS_OF_ONE, REFINED_PER_PAIR, Search, Tried};
+use crate::matching::search::{Hypothesis, LONG, LOOKS_OF_ONE, REFINED_PER_PAIR, Search, Tried};
 use crate::matching::waiting::Waiting;
 use crate::matching::{Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, Solved, TimeLimit};
 use autoref_raster::coords::MapPoint;
@@ -123,7 +124,7 @@ impl RobustMatcher {
         (control, positions): (&[usize], &[MapPoint]),
         priors: &Priors,
     ) -> MatchOutcome {
-        let repetition = Repetition::of(positions);
+        let repetition = Repetition::of(positions, priors);
         let part = match repetition {
             Some(_) => REPEATED_PART,
             None if positions.len() >= LONG && priors.narrow_by_scale() => LONG_PART,

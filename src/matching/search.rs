@@ -8,17 +8,15 @@ use rayon::prelude::*;
 use crate::candidate::Candidate;
 use crate::matching::Priors;
 use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
-use crate::matching::draws::Draws;
 use crate::matching::evidence::{CLOSEST_PX, log10_of_levels, log10_tail, spread_from_pair};
 use crate::matching::field::Field;
 use crate::matching::looks::{Bar, Looking};
 use crate::matching::names::Names;
+use crate::matching::pairs::{GcpPair, gcp_pairs};
 use crate::matching::screening::Screening;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::Similarity;
 
-/// Marks of a hypothesis closer together than this say nothing about scale and rotation.
-const SMALLEST_BASE_PX: f64 = 16.0;
 /// Search tolerance for the error of one mark, pixels; it grows with the distance from the pair. The orthophoto's own
 /// errors are in it, not only the marks'.
 const SEARCH_TOLERANCE_PX: (f64, f64) = (1.5, 5.0);
@@ -35,8 +33,6 @@ const WORTH_THREADS: u64 = 10_000;
 pub(super) const LOOKS_OF_ONE: u64 = 16;
 /// Where a first end has fewer second ends, hypotheses with different first ends are looked at together.
 const FEW_ENDS: usize = 16;
-/// A budget that is enough for less than this share of a pair's hypotheses is spent in part only.
-const LEAST_SHARE: f64 = 0.1;
 /// How often a search that tries pairs in a random order may miss a pattern that could be believed.
 const PATTERN_MISSED: f64 = 0.01;
 /// From so many points on hypotheses of a known scale are dropped too that hit nothing with their first looks, ...
@@ -45,31 +41,6 @@ pub(super) const LONG: usize = 60;
 const PAIRS_BY_BUDGET: usize = 4;
 /// More hits than this leave no doubt.
 const MOST_HITS: usize = 32;
-
-/// GCPs a and b and what a hypothesis about them predicts.
-pub(super) struct GcpPair {
-    pub a: usize,
-    pub b: usize,
-    length_m: f64,
-    /// Pixel distances that the scale allows.
-    reach_px: (f64, f64),
-    /// Pairs of candidates that can be this one.
-    cost: f64,
-}
-
-impl GcpPair {
-    /// About as many hypotheses as trying it takes.
-    pub fn hypotheses(&self) -> u64 {
-        self.cost as u64
-    }
-
-    /// What is spent of a budget of hypotheses on this pair: all, or less where even all would look at so few of them
-    /// that the true one is hardly among them.
-    pub fn worth(&self, budget: u64) -> u64 {
-        let share = budget as f64 / self.cost.max(1.0);
-        (budget as f64 * (share / LEAST_SHARE).min(1.0)) as u64
-    }
-}
 
 /// What a hypothesis must hit to be scored.
 #[derive(Clone, Copy)]
@@ -162,81 +133,12 @@ pub(super) struct Search<'a> {
     pub field: Field,
     pub(super) bitmaps: Vec<Bitmap>,
     pub gcps: &'a [MapPoint],
-    priors: &'a Priors,
+    pub(super) priors: &'a Priors,
     pub log10_tests: f64,
     /// Search tolerance in this field, pixels.
     pub tolerance_px: f64,
     /// What coded targets say of themselves, where it is heeded.
     pub names: Option<Names>,
-}
-
-/// The pairs of GCPs that a search holds: of long lists those that come first.
-const MOST_PAIRS: usize = 200_000;
-
-/// The pairs of GCPs in the order of trying, at most [`MOST_PAIRS`], and the number of hypotheses that the priors allow
-/// with all.
-fn gcp_pairs(field: &Field, gcps: &[MapPoint], priors: &Priors) -> (Vec<GcpPair>, f64) {
-    let diagonal = field.width_px.hypot(field.height_px);
-    let distances = sampled_distances(field.points());
-    let share_below = |d: f64| distances.partition_point(|&x| x <= d) as f64 / distances.len() as f64;
-    let n = field.points().len() as f64;
-    let turn = priors.rotation_deg.map_or(1.0, |(_, half)| (2.0 * half / 360.0).min(1.0));
-    let (finest, coarsest) = priors.gsd_m_per_px.unwrap_or((0.0, f64::INFINITY));
-    let mut pairs = Vec::new();
-    let mut possible = 0.0;
-    for a in 0..gcps.len() {
-        for b in a + 1..gcps.len() {
-            let length_m = (gcps[a].easting - gcps[b].easting).hypot(gcps[a].northing - gcps[b].northing);
-            let reach_px = ((length_m / coarsest).max(SMALLEST_BASE_PX), (length_m / finest).min(diagonal));
-            if length_m <= 0.0 || reach_px.0 >= reach_px.1 {
-                continue;
-            }
-            // At least a few, where the sample says none.
-            let share = (share_below(reach_px.1) - share_below(reach_px.0)).max(1.0 / distances.len() as f64);
-            let cost = n * (n - 1.0) * share * turn;
-            possible += cost;
-            pairs.push(GcpPair { a, b, length_m, reach_px, cost });
-            if pairs.len() >= 2 * MOST_PAIRS {
-                pairs.select_nth_unstable_by(MOST_PAIRS, |p, q| in_turn(p, q, priors));
-                pairs.truncate(MOST_PAIRS);
-            }
-        }
-    }
-    pairs.sort_unstable_by(|p, q| in_turn(p, q, priors));
-    pairs.truncate(MOST_PAIRS);
-    (pairs, possible)
-}
-
-/// Which pair is tried first.
-fn in_turn(p: &GcpPair, q: &GcpPair, priors: &Priors) -> std::cmp::Ordering {
-    if priors.narrow_by_scale() {
-        return p.cost.total_cmp(&q.cost).then((p.a, p.b).cmp(&(q.a, q.b)));
-    }
-    // Every pair costs about the same: a fixed shuffle keeps one bad point from spoiling the start.
-    let shuffled = |p: &GcpPair| ((p.a * 7919 + p.b) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    shuffled(p).cmp(&shuffled(q)).then((p.a, p.b).cmp(&(q.a, q.b)))
-}
-
-/// Sorted distances of pairs of points: all of few, a fixed sample of many.
-fn sampled_distances(points: &[PixelPoint]) -> Vec<f64> {
-    let distance = |i: usize, j: usize| (points[i].x - points[j].x).hypot(points[i].y - points[j].y);
-    let n = points.len();
-    let mut distances = Vec::new();
-    if n <= 400 {
-        for i in 0..n {
-            distances.extend((i + 1..n).map(|j| distance(i, j)));
-        }
-    } else {
-        let mut draws = Draws::new(0x2545_F491_4F6C_DD1D);
-        while distances.len() < 100_000 {
-            let (i, j) = (draws.below(n), draws.below(n));
-            if i != j {
-                distances.push(distance(i, j));
-            }
-        }
-    }
-    distances.sort_by(f64::total_cmp);
-    distances
 }
 
 impl<'a> Search<'a> {

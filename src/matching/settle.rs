@@ -4,7 +4,8 @@ use rayon::prelude::*;
 
 use crate::matching::Pattern;
 use crate::matching::evidence::spread_from_pair;
-use crate::matching::search::{GcpPair, Hypothesis, Search};
+use crate::matching::pairs::GcpPair;
+use crate::matching::search::{Hypothesis, Search};
 use autoref_raster::coords::PixelPoint;
 use autoref_solve::Similarity;
 use autoref_solve::similarity::{Pair, fit_equal_weights};

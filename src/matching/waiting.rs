@@ -5,7 +5,8 @@
 //! chance does and stands at their head.
 
 use crate::matching::looks::Bar;
-use crate::matching::search::{GcpPair, Hypothesis, REFINED_PER_PAIR};
+use crate::matching::pairs::GcpPair;
+use crate::matching::search::{Hypothesis, REFINED_PER_PAIR};
 
 /// The most surprising hypotheses of the pairs since the last were refined.
 pub(super) struct Waiting<'p> {
