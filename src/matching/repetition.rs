@@ -1,7 +1,7 @@
 //! Lists that lie upon themselves when they are moved or turned: rows in equal steps, regular grids.
 //!
-//! Whatever part of such a list has marks, the same marks fit the moved list as well, and neither is believed
-//! ([`super::rivals`]). A long search would end with the same answer.
+//! Whatever part of such a list has marks, the same marks fit the moved list as well but for those at its ends, and
+//! neither is believed ([`super::rivals`]). A long search would end with the same answer.
 
 use crate::matching::Priors;
 use crate::matching::draws::Draws;

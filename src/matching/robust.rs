@@ -39,8 +39,8 @@ const GUIDED_FIRST: usize = 2000;
 const GUIDED_STEP: usize = 4;
 /// One part in so many of the budget of hypotheses for each search among fewer than all, and for patterns that grow.
 const EARLY_SHARE: u64 = 8;
-/// A list that repeats itself is refused whatever is found, a long list with a known scale is searched with few looks:
-/// they get such a part of the budget.
+/// A list that repeats itself is hardly ever believed, a long list with a known scale is searched with few looks: they
+/// get such a part of the budget.
 const REPEATED_PART: u64 = 5;
 const LONG_PART: u64 = 2;
 const GROWTH_SHARE: u64 = 3;
@@ -117,7 +117,7 @@ pub(super) fn control_points(gcps: &[Gcp]) -> (Vec<usize>, Vec<MapPoint>) {
 }
 
 impl RobustMatcher {
-    /// The answer without names. A list that repeats itself is refused whatever is found; the search for it is short.
+    /// The answer without names. A list that repeats itself is hardly ever believed; the search for it is short.
     fn by_places(
         &self,
         candidates: &[Candidate],

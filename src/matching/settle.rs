@@ -13,7 +13,7 @@ use autoref_solve::similarity::{Pair, fit_equal_weights};
 /// Fewer pairs than these are weighed against all points in the image.
 pub(super) const FEWEST_NEAR: usize = 5;
 
-/// From so many GCPs on the hypotheses of a pair are shared out: waking a thread takes as long as refining a few of a
+/// From so many GCPs on the hypotheses are shared out: waking a thread takes as long as refining a few of a
 /// short list.
 const WORTH_THREADS: usize = 60;
 
