@@ -13,7 +13,7 @@ use std::sync::{Mutex, PoisonError};
 use crate::matching::bitmap::Bitmap;
 use crate::matching::pairs::GcpPair;
 use crate::matching::search::{
-    Demand, Hypothesis, Laid, REFINED_PER_PAIR, Search, Span, Target, Tried, cost_of_choice, keep_best,
+    Demand, Hypothesis, Laid, MayHit, REFINED_PER_PAIR, Search, Span, Target, Tried, cost_of_choice, keep_best,
 };
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::simd::{Kernel, widest};
@@ -36,8 +36,8 @@ pub(super) struct Looking<'s> {
 impl<'s> Looking<'s> {
     pub fn new(search: &'s Search<'s>, pair: &GcpPair, (demand, bar): (Demand, &'s Bar<'s>)) -> Self {
         let view = View { search, span: search.span(pair) };
-        let later =
-            Later { view, demand, bar, noticed: Batch::new(), seen: Seen::default(), best: Vec::new(), looks: 0 };
+        let (noticed, seen) = (Batch::new(), Seen::default());
+        let later = Later { view, demand, bar, noticed, seen, may_hit: Vec::new(), best: Vec::new(), looks: 0 };
         Looking { fresh: Batch::new(), seen: Seen::default(), later, hypotheses: 0 }
     }
 
@@ -89,6 +89,8 @@ struct Later<'s> {
     bar: &'s Bar<'s>,
     noticed: Batch,
     seen: Seen,
+    /// Room for the targets that one hypothesis may hit.
+    may_hit: Vec<MayHit>,
     best: Vec<Hypothesis>,
     /// Looks taken.
     looks: u64,
@@ -104,7 +106,7 @@ impl Later<'_> {
 
     #[inline(never)]
     fn all_looks(&mut self, targets: &[Target]) {
-        let Later { view, demand, bar, noticed, seen, best, looks } = self;
+        let Later { view, demand, bar, noticed, seen, may_hit, best, looks } = self;
         noticed.drain(|ends, used| {
             seen.look(view, targets, ends);
             for lane in 0..used {
@@ -114,7 +116,9 @@ impl Later<'_> {
                     continue;
                 }
                 *looks += (targets.len() + LOOKS_OF_HIT * count) as u64;
-                let Some(hypothesis) = view.scored((seen, lane, count), targets, ends.of(lane), (*demand, bar)) else {
+                may_hit.clear();
+                may_hit.extend(seen.of(lane).map(|k| view.search.may_hit(targets, k)));
+                let Some(hypothesis) = view.scored(may_hit, targets, ends.of(lane), (*demand, bar)) else {
                     continue;
                 };
                 bar.raise(hypothesis.score);
@@ -159,9 +163,9 @@ impl Seen {
 
 /// The highest score that a hypothesis can have when no others than these targets are hit: hits that say less than
 /// choosing them costs add nothing, and the fewer are hit the more a choice costs.
-fn most_score(targets: &[Target], may_hit: impl Iterator<Item = usize>, (count, inside): (usize, usize)) -> f64 {
-    let choice = cost_of_choice(count.max(1), inside);
-    may_hit.map(|k| (targets[k].surprise - choice).max(0.0)).sum()
+fn most_score(may_hit: &[MayHit], inside: usize) -> f64 {
+    let choice = cost_of_choice(may_hit.len().max(1), inside);
+    may_hit.iter().map(|may_hit| (may_hit.surprise - choice).max(0.0)).sum()
 }
 
 /// The score that a hypothesis must reach to be refined: that of the last of the best so far, whoever found them. What
@@ -321,21 +325,21 @@ impl<'a> View<'a> {
         }));
     }
 
-    /// The hypothesis of a lane with its score, where it may be among the best of its pair.
+    /// The hypothesis with its score, where it may be among the best of its pair.
     #[inline]
     fn scored(
         &self,
-        (seen, lane, count): (&Seen, usize, usize),
+        may_hit: &[MayHit],
         targets: &[Target],
         ends: (usize, usize),
         (demand, bar): (Demand, &Bar<'_>),
     ) -> Option<Hypothesis> {
         let laid = self.hypothesis(ends);
         let inside = self.search.inside(laid, targets);
-        if !bar.lets_by(most_score(targets, seen.of(lane), (count, inside))) {
+        if !bar.lets_by(most_score(may_hit, inside)) {
             return None;
         }
-        let score = self.search.verify(laid, targets, (seen.of(lane), inside), demand)?;
+        let score = self.search.verify(laid, targets, (may_hit, inside), demand)?;
         Some(Hypothesis { score, i: ends.0 as u32, j: ends.1 as u32 })
     }
 
@@ -467,13 +471,14 @@ mod tests {
             let (best, tried) = search.try_pair(pair, first_looks, u64::MAX);
             let targets = search.targets(pair, search.tolerance_px);
             let demand = Demand { fewest: search.fewest_hits(&targets, search.tolerance_px), first_looks };
+            let may_hit: Vec<MayHit> = (0..targets.len()).map(|k| search.may_hit(&targets, k)).collect();
             let mut expected = Vec::new();
             for i in 0..candidates.len() {
                 let view = View { search: &search, span: search.span(pair) };
                 search.ends_of(pair, i, |j, _| {
                     let laid = view.hypothesis((i, j));
                     let inside = search.inside(laid, &targets);
-                    let score = search.verify(laid, &targets, (0..targets.len(), inside), demand);
+                    let score = search.verify(laid, &targets, (&may_hit, inside), demand);
                     expected.extend(score.map(|score| Hypothesis { score, i: i as u32, j: j as u32 }));
                 });
             }

@@ -75,7 +75,14 @@ pub(super) struct Target {
     pub north: f64,
     radius_px: f64,
     pub bitmap: usize,
-    /// How surprising a hit is where candidates lie as densely as in the whole field.
+}
+
+/// A target that a candidate may be near.
+#[derive(Clone, Copy)]
+pub(super) struct MayHit {
+    /// Its place in the order of the targets.
+    pub target: usize,
+    /// How surprising a hit is where candidates lie as densely as in the whole field: most of it is.
     pub surprise: f64,
 }
 
@@ -218,8 +225,9 @@ impl<'a> Search<'a> {
         }
         let (mut telling, rest): (Vec<_>, Vec<_>) = pairs.into_iter().partition(|pair| {
             // Less what choosing the hits costs, and a fifth for marks that are covered.
-            let worth: f64 =
-                self.targets(pair, self.tolerance_px).iter().map(|t| (t.surprise - 1.0).max(0.0)).sum::<f64>() * 0.8;
+            let surprise = |t: &Target| surprise(self.field.density(), t.radius_px);
+            let targets = self.targets(pair, self.tolerance_px);
+            let worth: f64 = targets.iter().map(|t| (surprise(t) - 1.0).max(0.0)).sum::<f64>() * 0.8;
             worth > pair.cost.max(1.0).ln()
         });
         telling.extend(rest);
@@ -342,44 +350,49 @@ impl<'a> Search<'a> {
     /// Other GCPs as a hypothesis about `pair` predicts them, most certain first.
     pub(super) fn targets(&self, pair: &GcpPair, tolerance_px: f64) -> Vec<Target> {
         let (a, b) = (self.gcps[pair.a], self.gcps[pair.b]);
-        let density = self.field.density();
         // Farther from the pair than the image is long it cannot be in the image.
         let reach_m = self.field.width_px.hypot(self.field.height_px) * pair.length_m / pair.reach_px.0;
+        // 1 − exp(−density · area) is the probability of a chance hit.
+        let worthless_px2 = -(-WORTHLESS_PROBABILITY).ln_1p() / (std::f64::consts::PI * self.field.density());
         let mut targets: Vec<Target> = (0..self.gcps.len())
             .filter(|&k| k != pair.a && k != pair.b)
             .filter_map(|k| {
                 let gcp = self.gcps[k];
                 let (east, north) = (gcp.easting - a.easting, gcp.northing - a.northing);
+                if east * east + north * north >= reach_m * reach_m {
+                    return None;
+                }
                 let radius_px = tolerance_px * spread_from_pair(a, b, gcp);
-                let probability = -(-density * std::f64::consts::PI * radius_px * radius_px).exp_m1();
+                if radius_px * radius_px >= worthless_px2 {
+                    return None;
+                }
                 let bitmap = self.bitmaps.iter().position(|m| m.radius_px >= radius_px)?;
-                (probability < WORTHLESS_PROBABILITY && east.hypot(north) < reach_m).then_some(Target {
-                    gcp: k,
-                    east,
-                    north,
-                    radius_px,
-                    bitmap,
-                    surprise: surprise(density, radius_px),
-                })
+                Some(Target { gcp: k, east, north, radius_px, bitmap })
             })
             .collect();
-        targets.sort_by(|s, t| s.radius_px.total_cmp(&t.radius_px));
+        // A long list is laid out for few hypotheses: numbers are sorted sooner than targets. Bits of positive numbers
+        // are in the order of the numbers.
+        let order = |(at, target): (usize, &Target)| u64::from((target.radius_px as f32).to_bits()) << 32 | at as u64;
+        let mut order: Vec<u64> = targets.iter().enumerate().map(order).collect();
+        order.sort_unstable();
+        targets = order.iter().map(|of| targets[(of & 0xFFFF_FFFF) as usize]).collect();
         targets
     }
 
     /// Fewer further hits than this could never be believed, however close they are.
     pub(super) fn fewest_hits(&self, targets: &[Target], tolerance_px: f64) -> usize {
+        const MOST: usize = 4;
         let density = self.field.density();
         let closest = |t: &Target| {
             let radius = t.radius_px / tolerance_px * CLOSEST_PX;
             -(-density * std::f64::consts::PI * radius * radius).exp_m1()
         };
-        let probabilities: Vec<f64> = targets.iter().map(closest).collect();
+        let probabilities: Vec<f64> = targets.iter().take(MOST).map(closest).collect();
         // A hypothesis sees only the GCPs in the image; the tail over the surest few is the most favourable case.
         (1..=probabilities.len())
             .find(|&hits| self.log10_tests + log10_tail(&probabilities[..hits], hits) <= -1.0)
             .unwrap_or(probabilities.len() + 1)
-            .clamp(1, 4)
+            .min(MOST)
     }
 
     fn try_point(
@@ -490,25 +503,29 @@ impl<'a> Search<'a> {
         (candidate != laid.ends.0 && candidate != laid.ends.1).then_some(candidate)
     }
 
+    /// A target that a candidate may be near.
+    pub(super) fn may_hit(&self, targets: &[Target], target: usize) -> MayHit {
+        MayHit { target, surprise: surprise(self.field.density(), targets[target].radius_px) }
+    }
+
     /// Sum of the hits' surprise less that of choosing them, or `None` when too few are hit. A candidate counts for one
     /// GCP only, and for little where candidates crowd: otherwise the best hypotheses would be those that squeeze all
-    /// GCPs into one clump. `may_hit`: the targets that a candidate may be near, in their order; `inside`: how many are
-    /// in the field.
+    /// GCPs into one clump. `may_hit` are in the order of the targets; `inside` of these are in the field.
     pub(super) fn verify(
         &self,
         laid: Laid,
         targets: &[Target],
-        (may_hit, inside): (impl Iterator<Item = usize>, usize),
+        (may_hit, inside): (&[MayHit], usize),
         demand: Demand,
     ) -> Option<f64> {
         let Demand { fewest, first_looks } = demand;
         let (mut hits, mut surprising) = (0usize, 0.0);
         let mut hit = [u32::MAX; MOST_HITS];
-        for k in may_hit {
-            if hits == MOST_HITS || (hits == 0 && k >= first_looks) {
+        for here in may_hit {
+            if hits == MOST_HITS || (hits == 0 && here.target >= first_looks) {
                 break;
             }
-            let target = &targets[k];
+            let target = &targets[here.target];
             if let Some(candidate) = self.hit(laid, target)
                 && !hit[..hits].contains(&(candidate as u32))
             {
@@ -517,7 +534,7 @@ impl<'a> Search<'a> {
                 // Most of the field is as dense as the whole.
                 let density = self.field.density_at(candidate);
                 surprising += match density == self.field.density() {
-                    true => target.surprise,
+                    true => here.surprise,
                     false => surprise(density, target.radius_px),
                 };
             }

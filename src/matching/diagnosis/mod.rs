@@ -18,6 +18,7 @@
 mod place;
 mod rows;
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
@@ -122,10 +123,12 @@ impl GrossErrors<'_> {
             budget_hypotheses: self.matcher.budget_hypotheses / TOGETHER_PART / attempts.len() as u64,
             ..self.matcher.clone()
         };
-        for attempt in &attempts {
-            if let MatchOutcome::Solved(solved) = matcher.find(self.candidates, &attempt.gcps, &attempt.priors) {
-                return vec![self.whole_list(attempt, &solved.pattern)];
-            }
+        let fits = |attempt: &Attempt| match matcher.find(self.candidates, &attempt.gcps, &attempt.priors) {
+            MatchOutcome::Solved(solved) => Some(self.whole_list(attempt, &solved.pattern)),
+            MatchOutcome::NoMatch(_) => None,
+        };
+        if let Some(mistake) = attempts.par_iter().find_map_first(fits) {
+            return vec![mistake];
         }
         // Beside a partial pattern the two together must be as rare as a match, and the row's own evidence must stand.
         best.map_or_else(Vec::new, |pattern| {

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use rayon::prelude::*;
+
 use autoref_raster::RasterInfo;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::crs::{Coordinate, Crs};
@@ -71,12 +73,16 @@ fn blame_options(
         budget_hypotheses: RobustMatcher::default().budget_hypotheses / TOGETHER_PART / attempts.len().max(1) as u64,
         time_limit: time_limit.clone(),
     };
-    for (options, priors) in attempts {
-        let priors = priors.with_mark_sizes(candidates);
-        if let MatchOutcome::Solved(solved) = matcher.find(candidates, &list.gcps, &priors) {
-            evidence.advice.insert(0, fits_without(options, &solved.pattern));
-            return;
-        }
+    let fits = |(options, priors): &(&str, Priors)| match matcher.find(
+        candidates,
+        &list.gcps,
+        &priors.with_mark_sizes(candidates),
+    ) {
+        MatchOutcome::Solved(solved) => Some(fits_without(options, &solved.pattern)),
+        MatchOutcome::NoMatch(_) => None,
+    };
+    if let Some(advice) = attempts.par_iter().find_map_first(fits) {
+        evidence.advice.insert(0, advice);
     }
 }
 
