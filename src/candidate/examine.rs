@@ -18,7 +18,7 @@ use super::local::{Growth, Local};
 use super::paint_share::{Across, best_fit};
 use super::pixel_set::PixelSet;
 use super::scene::{OwnPaint, RING_PX, Scene};
-use super::score::{Populations, score};
+use super::score::{Populations, is_of_size, score};
 use super::shadow::{self, Relit};
 use super::split::region_of;
 use super::two_lights;
@@ -177,11 +177,11 @@ pub(super) fn growth(evidence: &Evidence, region: &Region) -> f64 {
 fn measure_against_ground(looks: &Looks<'_>, scene: &Scene<'_>, around: Around<'_>) -> Option<Evidence> {
     let Looks { region, classifier, profile, gates } = *looks;
     let (pixels, around) = (around.pixels, Some(around));
-    let mut evidence = measure_scene(scene, around, region, classifier, profile);
+    let mut evidence = looks.measure_scene(scene, around);
     let fits = profile.examine.centre == CentreMode::Fit && profile.filters == Filters::default();
     let wide = (fits && evidence.contrast >= LEAST_CONTRAST).then(|| pixels.whole());
     if worth_another_look(&evidence, profile, gates) {
-        evidence = look_again(scene, around, region, classifier, profile)?;
+        evidence = looks.look_again(scene, around)?;
     }
     let Some(wide) = wide else { return Some(evidence) };
     let Some(seen) = Scene::new(region, &wide, classifier, OwnPaint::Piece) else { return Some(evidence) };
@@ -303,7 +303,7 @@ impl Looks<'_> {
     }
 
     fn measured_once(&self, scene: &Scene<'_>, around: Option<Around<'_>>) -> Evidence {
-        let mut evidence = measure_scene(scene, around, self.region, self.classifier, self.profile);
+        let mut evidence = self.measure_scene(scene, around);
         evidence.area_px = scene.own.count() as f64;
         evidence
     }
@@ -311,8 +311,7 @@ impl Looks<'_> {
     fn measured(&self, scene: &Scene<'_>, around: Option<Around<'_>>) -> Evidence {
         let mut evidence = self.measured_once(scene, around);
         if worth_another_look(&evidence, self.profile, self.gates) {
-            let again = look_again(scene, around, self.region, self.classifier, self.profile);
-            evidence = again.unwrap_or(evidence);
+            evidence = self.look_again(scene, around).unwrap_or(evidence);
         }
         evidence.area_px = scene.own.count() as f64;
         evidence
@@ -365,7 +364,8 @@ pub(super) fn examine_part(
     if !super::prototype_options::passes(scene, classifier, profile) {
         return None;
     }
-    let evidence = measure_scene(scene, Some(Around { pixels, classifier }), region, classifier, profile);
+    let looks = Looks { region, classifier, profile, gates };
+    let evidence = looks.measure_scene(scene, Some(Around { pixels, classifier }));
     candidate(evidence, scene, region, classifier, profile, gates)
 }
 
@@ -431,62 +431,6 @@ fn worth_another_look(evidence: &Evidence, profile: &Profile, gates: &Gates) -> 
         && profile.filters == Filters::default()
 }
 
-/// The local-background fit ([`super::local`]): against the ground right beside each pixel, the region grown over its
-/// whole mark. `None` when the mark is another region's.
-fn look_again(
-    scene: &Scene<'_>,
-    around: Option<Around<'_>>,
-    region: &Region,
-    classifier: &Classifier,
-    profile: &Profile,
-) -> Option<Evidence> {
-    let first = scene.plateau();
-    let seen = Local::of(scene, first, RING_PX);
-    let grown = match seen.as_ref().map_or(Growth::Whole, Local::grow) {
-        Growth::Beaten => return None,
-        Growth::Whole => None,
-        Growth::Grown(own) => {
-            let paint = own.or(&scene.other);
-            Some(scene.with_own(own, &paint))
-        }
-    };
-    let (scene, paint, seen) = match &grown {
-        None => (scene, first, seen),
-        Some(grown) => {
-            let paint = grown.plateau();
-            (grown, paint, Local::of(grown, paint, RING_PX))
-        }
-    };
-    let mut evidence = unfitted(region, paint, classifier, profile);
-    evidence.area_px = scene.own.count() as f64;
-    evidence.local = true;
-    evidence.hopeless = true;
-    if let Some(seen) = seen {
-        evidence.contrast = seen.contrast;
-        fit_shape(&mut evidence, scene, around, || seen.shares(), profile);
-    }
-    Some(evidence)
-}
-
-/// Without `around` the centre is that of the plain fit: for scores.
-pub(super) fn measure_scene(
-    scene: &Scene<'_>,
-    around: Option<Around<'_>>,
-    region: &Region,
-    classifier: &Classifier,
-    profile: &Profile,
-) -> Evidence {
-    let plateau = scene.plateau();
-    let mut evidence = unfitted(region, plateau, classifier, profile);
-    let Some(ground) = scene.ring_ground() else { return evidence };
-    let across = Across::between(ground, plateau);
-    evidence.contrast = across.contrast;
-    if profile.examine.centre == CentreMode::Fit {
-        fit_shape(&mut evidence, scene, around, || across.shares(scene), profile);
-    }
-    evidence
-}
-
 /// What is known before anything is compared with the ground.
 pub(super) fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Classifier, profile: &Profile) -> Evidence {
     let byte = [plateau[0], plateau[1], plateau[2]].map(|v| v.clamp(0.0, 255.0) / 255.0);
@@ -507,34 +451,6 @@ pub(super) fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Clas
         paint: byte.map(|v| (v * 255.0).round() as u8),
         centre: centroid(region),
         covariance_px2: [loose, 0.0, loose],
-    }
-}
-
-/// Fits the shape when that can lead to a score that is high enough.
-fn fit_shape(
-    evidence: &mut Evidence,
-    scene: &Scene<'_>,
-    around: Option<Around<'_>>,
-    shares: impl FnOnce() -> Vec<f64>,
-    profile: &Profile,
-) {
-    let populations = Populations::of(evidence.local);
-    let (contrast, min_score) = (evidence.contrast, profile.examine.min_score);
-    evidence.hopeless = populations.best_possible_score(contrast) < min_score;
-    if evidence.hopeless {
-        return;
-    }
-    let rms_limit = SLACK * populations.largest_rms(contrast, min_score);
-    let shares = shares();
-    if let Some(best) = best_fit(scene, &shares, profile.shape, 1.0 / contrast.max(1.0), rms_limit) {
-        let mut open = [0.0; 3];
-        // Neither edges nor a better centre raise a score: clutter is not asked for them.
-        if populations.likelihood_ratio(contrast, best.rms) >= min_score {
-            (open, evidence.unsupported) = whole::unsupported(scene, &shares, &best);
-        }
-        let likely =
-            best.rms <= rms_limit / SLACK && populations.score(contrast, best.rms, evidence.unsupported) >= min_score;
-        settle(evidence, scene, around.filter(|_| likely), (best, open), profile.shape);
     }
 }
 
@@ -578,4 +494,80 @@ fn fit_in_linear_light(scene: &Scene<'_>, local: bool, shape: Shape) -> Option<F
         (across.shares(&scene), across.contrast)
     };
     best_fit(&scene, &shares, shape, 1.0 / contrast.max(1.0), f64::INFINITY)
+}
+
+impl Looks<'_> {
+    /// The local-background fit ([`super::local`]): against the ground right beside each pixel, the region grown over its
+    /// whole mark. `None` when the mark is another region's.
+    fn look_again(&self, scene: &Scene<'_>, around: Option<Around<'_>>) -> Option<Evidence> {
+        let first = scene.plateau();
+        let seen = Local::of(scene, first, RING_PX);
+        let grown = match seen.as_ref().map_or(Growth::Whole, Local::grow) {
+            Growth::Beaten => return None,
+            Growth::Whole => None,
+            Growth::Grown(own) => {
+                let paint = own.or(&scene.other);
+                Some(scene.with_own(own, &paint))
+            }
+        };
+        let (scene, paint, seen) = match &grown {
+            None => (scene, first, seen),
+            Some(grown) => {
+                let paint = grown.plateau();
+                (grown, paint, Local::of(grown, paint, RING_PX))
+            }
+        };
+        let mut evidence = unfitted(self.region, paint, self.classifier, self.profile);
+        evidence.area_px = scene.own.count() as f64;
+        evidence.local = true;
+        evidence.hopeless = true;
+        if let Some(seen) = seen {
+            evidence.contrast = seen.contrast;
+            self.fit_shape(&mut evidence, scene, around, || seen.shares());
+        }
+        Some(evidence)
+    }
+
+    /// Without `around` the centre is that of the plain fit: for scores.
+    pub(super) fn measure_scene(&self, scene: &Scene<'_>, around: Option<Around<'_>>) -> Evidence {
+        let plateau = scene.plateau();
+        let mut evidence = unfitted(self.region, plateau, self.classifier, self.profile);
+        let Some(ground) = scene.ring_ground() else { return evidence };
+        let across = Across::between(ground, plateau);
+        evidence.contrast = across.contrast;
+        if self.profile.examine.centre == CentreMode::Fit {
+            self.fit_shape(&mut evidence, scene, around, || across.shares(scene));
+        }
+        evidence
+    }
+
+    /// Fits the shape when that can lead to a score that is high enough.
+    fn fit_shape(
+        &self,
+        evidence: &mut Evidence,
+        scene: &Scene<'_>,
+        around: Option<Around<'_>>,
+        shares: impl FnOnce() -> Vec<f64>,
+    ) {
+        let profile = self.profile;
+        let populations = Populations::of(evidence.local);
+        let (contrast, min_score) = (evidence.contrast, profile.examine.min_score);
+        evidence.hopeless = populations.best_possible_score(contrast) < min_score;
+        if evidence.hopeless {
+            return;
+        }
+        let rms_limit = SLACK * populations.largest_rms(contrast, min_score);
+        let shares = shares();
+        if let Some(best) = best_fit(scene, &shares, profile.shape, 1.0 / contrast.max(1.0), rms_limit) {
+            let mut open = [0.0; 3];
+            // Neither edges nor a better centre raise a score: clutter is not asked for them.
+            if populations.likelihood_ratio(contrast, best.rms) >= min_score {
+                (open, evidence.unsupported) = whole::unsupported(scene, &shares, &best);
+            }
+            let likely = best.rms <= rms_limit / SLACK
+                && populations.score(contrast, best.rms, evidence.unsupported) >= min_score
+                && is_of_size(&best, profile, self.gates);
+            settle(evidence, scene, around.filter(|_| likely), (best, open), profile.shape);
+        }
+    }
 }

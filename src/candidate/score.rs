@@ -1,6 +1,7 @@
 //! How likely it is that what the examination measured is a mark.
 
 use super::examine::Evidence;
+use super::fit::Fit;
 use super::gates::Gates;
 use crate::profile::{Profile, Shape};
 
@@ -12,21 +13,22 @@ use crate::profile::{Profile, Shape};
 /// better fit does not count further. A candidate that no shape could be fitted to (no ground around it) has ratio 0.
 pub fn score(evidence: &Evidence, profile: &Profile, gates: &Gates) -> f64 {
     let Some(fit) = &evidence.fit else { return 0.0 };
-    let (low, high) = gates.mark_side_px();
-    let side = (fit.sides_px[0] * fit.sides_px[1]).sqrt();
-    // A shape that is not as large as any mark has no likelihood as one; the margin is the fit's own uncertainty.
-    if side < 0.6 * low || side > 1.25 * high + 1.0 {
-        return f64::from(-50);
-    }
-    if fit.sides_px[0].max(fit.sides_px[1]) > 2.0 * fit.sides_px[0].min(fit.sides_px[1])
-        && profile.shape != Shape::Cross
-    {
+    if !is_of_size(fit, profile, gates) {
         return f64::from(-50);
     }
     if let Some(score) = evidence.own_score {
         return score;
     }
     Populations::of(evidence.local).score(evidence.contrast, fit.rms, evidence.unsupported)
+}
+
+/// Whether a shape is as large and as wide as marks are. One that is not has no likelihood as a mark; the margin is the
+/// fit's own uncertainty.
+pub(super) fn is_of_size(fit: &Fit, profile: &Profile, gates: &Gates) -> bool {
+    let (low, high) = gates.mark_side_px();
+    let side = (fit.sides_px[0] * fit.sides_px[1]).sqrt();
+    let (short, long) = (fit.sides_px[0].min(fit.sides_px[1]), fit.sides_px[0].max(fit.sides_px[1]));
+    (0.6 * low..=1.25 * high + 1.0).contains(&side) && (long <= 2.0 * short || profile.shape == Shape::Cross)
 }
 
 /// From better than any fit to as bad as none, rising.

@@ -4,7 +4,7 @@
 //! region goes to its nearest middle, and each part is examined as if the others were other paint.
 
 use super::Candidate;
-use super::examine::{examine_part, examine_whole, figure_of, measure_scene, near};
+use super::examine::{Looks, examine_part, examine_whole, figure_of, near};
 use super::figure::{Figure, filled};
 use super::gates::{Gates, eccentricity};
 use super::pixel_set::PixelSet;
@@ -221,7 +221,8 @@ pub(crate) fn score_of(
     let mut profile = profile.clone();
     profile.examine.min_score = f64::NEG_INFINITY;
     let scene = Scene::of_pixels(patch, own.clone(), own);
-    Some(score(&measure_scene(&scene, None, &region, classifier, &profile), &profile, gates))
+    let looks = Looks { region: &region, classifier, profile: &profile, gates };
+    Some(score(&looks.measure_scene(&scene, None), &profile, gates))
 }
 
 #[cfg(test)]

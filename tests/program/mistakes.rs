@@ -41,6 +41,26 @@ fn list(folder: &Path, name: &str, header: &str, rows: impl Iterator<Item = (Str
 const TITLES: &str = "name,easting,northing";
 const ZONE_32: [&str; 2] = ["--crs", "EPSG:25832"];
 
+/// What the verdict says of a point is not said again of the same point.
+#[test]
+fn a_mistyped_row_is_told_once() {
+    let (folder, mut rows) = workplace();
+    let (name, easting, _) = &mut rows[4];
+    *easting += 3.0;
+    let named = format!("{name}: a mistyped digit?");
+    list(folder.path(), "l.csv", TITLES, rows.into_iter());
+    for more in [&[][..], &["-v"]] {
+        let run = program(
+            folder.path(),
+            &[&["a.tif", "--gcps", "l.csv", "--no-report", "--overwrite"], &ZONE_32[..], more].concat(),
+        );
+        answers(&run, 0, &["Matched", &named]);
+        let text = said(&run);
+        assert_eq!(text.matches(&named).count(), 1, "{text}");
+        assert!(!text.contains("Look at"), "{text}");
+    }
+}
+
 #[test]
 fn a_wrong_zone_is_refused_unless_it_is_named() {
     let (folder, rows) = workplace();

@@ -3,7 +3,7 @@
 
 use std::fmt::Write;
 
-use autoref_stream::matching::diagnosis::Certainty;
+use autoref_stream::matching::diagnosis::{Certainty, Diagnosis};
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
 use autoref_stream::result::{Misfit, RefusedRun, RunOutcome, RunResult, SolvedRun};
 
@@ -97,10 +97,16 @@ fn solved(result: &RunResult, run: &SolvedRun, detail: Detail, lines: &mut Lines
         verdict.chance.into_iter().for_each(|chance| lines.add("Chance", chance));
         verdict.tested.into_iter().for_each(|tested| lines.add("Check points", tested));
     }
-    let look_at = look_at(run);
+    let look_at = look_at(run, spoken_of(&result.diagnoses));
     if !look_at.is_empty() {
         lines.add("Look at", look_at.join("; "));
     }
+}
+
+/// The mistake that the verdict speaks of: the surest.
+fn spoken_of(diagnoses: &[Diagnosis]) -> Option<&Diagnosis> {
+    let claimed = diagnoses.iter().find(|diagnosis| diagnosis.certainty == Certainty::Claimed);
+    claimed.or(diagnoses.first())
 }
 
 /// How a verdict speaks of a mistake that chance may explain as well.
@@ -123,9 +129,11 @@ impl Verdict {
         let misfit = Misfit::of(run, &result.candidates);
         let outlier = run.matches.iter().chain(&run.check_points).any(|m| m.outlier);
         // The surest mistake speaks; it does not hide that points do not fit.
-        let claimed = result.diagnoses.iter().find(|diagnosis| diagnosis.certainty == Certainty::Claimed);
-        if let Some(diagnosis) = claimed.or(result.diagnoses.first()) {
-            let certainty = if claimed.is_some() { "but a mistake in the list is likely" } else { MAY_BE_MISTAKEN };
+        if let Some(diagnosis) = spoken_of(&result.diagnoses) {
+            let certainty = match diagnosis.certainty {
+                Certainty::Claimed => "but a mistake in the list is likely",
+                Certainty::Possible => MAY_BE_MISTAKEN,
+            };
             let mut sentence = format!("solved, {certainty}: {}", diagnosis.message);
             if outlier {
                 sentence += "; a point does not fit, too: look at it before you trust the rest";
@@ -176,12 +184,15 @@ fn tested(run: &SolvedRun) -> Option<String> {
 }
 
 /// Points that a person should see, and why.
-fn look_at(run: &SolvedRun) -> Vec<String> {
-    let all = run.matches.iter().chain(&run.check_points);
+fn look_at(run: &SolvedRun, verdict: Option<&Diagnosis>) -> Vec<String> {
+    // What the verdict says of a point is not said twice.
+    let is_left = |gcp: &str| verdict.is_none_or(|diagnosis| diagnosis.gcps.iter().all(|named| named != gcp));
+    let all = run.matches.iter().chain(&run.check_points).filter(|m| is_left(&m.gcp));
     let unfit = all.filter(|m| m.outlier).map(|m| format!("{} is {:.1} px off", m.gcp, m.residual_px));
     // A mark that is there, elsewhere, is worth more of a look than one that is not.
-    let displaced = run.not_found.iter().filter(|point| point.reason == Reason::Displaced);
-    let others = run.not_found.iter().filter(|point| !matches!(point.reason, Reason::Outside | Reason::Displaced));
+    let not_found = || run.not_found.iter().filter(|point| is_left(&point.name));
+    let displaced = not_found().filter(|point| point.reason == Reason::Displaced);
+    let others = not_found().filter(|point| !matches!(point.reason, Reason::Outside | Reason::Displaced));
     let missing = displaced.chain(others).map(NotFound::line);
     let mut all: Vec<String> = unfit.chain(missing).collect();
     let more = all.len().saturating_sub(LOOKED_AT);
@@ -210,8 +221,11 @@ fn full(result: &RunResult, lines: &mut Lines) {
     if let Some(run) = result.solved() {
         solving::lines(run, &mut line);
         accuracy::lines(run, &mut line);
-        for diagnosis in &result.diagnoses {
-            line("Mistake?", diagnosis.message.clone());
+        let said = spoken_of(&result.diagnoses).map(|diagnosis| &diagnosis.message);
+        for message in
+            result.diagnoses.iter().map(|diagnosis| &diagnosis.message).filter(|message| Some(*message) != said)
+        {
+            line("Mistake?", message.clone());
         }
     }
     if let Some(log10) = result.log10_false_alarms {
