@@ -14,7 +14,7 @@
 //! let bare_ground = MemorySource::rgb8(64, 64, vec![90; 64 * 64 * 3]);
 //! let detector = PaintDetector::new(Profile::load("orange")?, bare_ground.info(), None)?;
 //! let at = |x: f64| Expected { gcp: 0, position: PixelPoint { x, y: 32.0 }, radius_px: 4.0 };
-//! let seen = rematch(&bare_ground, &detector, &[], &[at(32.0), at(900.0)])?;
+//! let seen = rematch(&bare_ground, &detector, &[], &[], &[at(32.0), at(900.0)])?;
 //! assert!(matches!(seen[..], [Refinement::NotFound, Refinement::Outside]));
 //! # Ok::<(), autoref_raster::Error>(())
 //! ```
@@ -57,7 +57,8 @@ pub enum Refinement {
 /// How many times the detector may be made stricter for marks that are still missing.
 const STRICTER_LOOKS: usize = 4;
 
-/// Looks at every expected GCP; the answers are in the order of the question.
+/// Looks at every expected GCP; the answers are in the order of the question. Marks that are `taken` by other GCPs are
+/// none of theirs, whether the scan or a window shows them.
 ///
 /// What the detector does not see is looked for again with stricter ones ([`Detector::stricter`]): on a red roof the
 /// first sees one large region of paint, a stricter one the mark.
@@ -68,18 +69,19 @@ pub fn rematch(
     source: &dyn RasterSource,
     detector: &dyn Detector,
     scanned: &[Candidate],
+    taken: &[Candidate],
     expected: &[Expected],
 ) -> Result<Vec<Refinement>> {
-    let info = source.info();
+    let size_px = (source.info().width as f64, source.info().height as f64);
+    let (free, taken) = (Free::among(scanned, taken), of_marks(taken));
     let known = |expected: &Expected| {
-        let (x, y) = (expected.position.x, expected.position.y);
-        if !(x >= 0.0 && y >= 0.0 && x < info.width as f64 && y < info.height as f64) {
+        if !is_inside(expected.position, size_px) {
             return Refinement::Outside;
         }
-        nearest(scanned.iter(), expected).map_or(Refinement::NotFound, |candidate| Refinement::Kept { candidate })
+        free.nearest(expected).map_or(Refinement::NotFound, |candidate| Refinement::Kept { candidate })
     };
     let mut answers: Vec<Refinement> = expected.iter().map(known).collect();
-    look_again(source, detector, expected, &mut answers)?;
+    look_again(source, detector, &taken, expected, &mut answers)?;
     let mut stricter: Option<Box<dyn Detector>> = None;
     for _ in 0..STRICTER_LOOKS {
         // A detector costs a table of colours: none is made for nothing.
@@ -87,7 +89,7 @@ pub fn rematch(
             break;
         }
         let Some(next) = stricter.as_deref().unwrap_or(detector).stricter() else { break };
-        look_again(source, next.as_ref(), expected, &mut answers)?;
+        look_again(source, next.as_ref(), &taken, expected, &mut answers)?;
         stricter = Some(next);
     }
     Ok(answers)
@@ -97,13 +99,14 @@ pub fn rematch(
 fn look_again(
     source: &dyn RasterSource,
     detector: &dyn Detector,
+    taken: &Standing,
     expected: &[Expected],
     answers: &mut [Refinement],
 ) -> Result<()> {
     let mut missing: Vec<usize> = (0..expected.len()).filter(|&i| matches!(answers[i], Refinement::NotFound)).collect();
     let look = |&i: &usize| -> Result<(usize, Refinement)> {
         let found = look_in_window(source, detector, &expected[i])?;
-        let best = nearest(found.iter(), &expected[i]);
+        let best = Free::of(&found, taken).nearest(&expected[i]);
         Ok((i, best.map_or(Refinement::NotFound, |best| Refinement::Found(Box::new(found[best].clone())))))
     };
     let found: Vec<(usize, Refinement)> = if source.info().sequential {
@@ -123,19 +126,63 @@ fn distance(candidate: &Candidate, expected: &Expected) -> f64 {
     (candidate.centre.x - expected.position.x).hypot(candidate.centre.y - expected.position.y)
 }
 
-/// Index of the candidate closest to the expected place, within its radius. A centre that is known less well than the
-/// place where it is looked for is none.
-fn nearest<'a>(candidates: impl Iterator<Item = &'a Candidate>, expected: &Expected) -> Option<usize> {
-    let is_known = |candidate: &Candidate| {
-        candidate.covariance_px2.is_none_or(|[xx, _, yy]| xx.max(yy) <= expected.radius_px * expected.radius_px)
+/// Whether a place is in an image of this width and height.
+pub(crate) fn is_inside(place: PixelPoint, (width, height): (f64, f64)) -> bool {
+    place.x >= 0.0 && place.y >= 0.0 && place.x < width && place.y < height
+}
+
+fn of_marks(taken: &[Candidate]) -> Standing {
+    let mut standing = Standing::default();
+    standing.add(taken.iter());
+    standing
+}
+
+/// Candidates that are of no mark which is taken, with their indices.
+pub(crate) struct Free<'a>(Vec<(usize, &'a Candidate)>);
+
+impl<'a> Free<'a> {
+    pub(crate) fn among(candidates: &'a [Candidate], taken: &[Candidate]) -> Free<'a> {
+        Free::of(candidates, &of_marks(taken))
+    }
+
+    fn of(candidates: &'a [Candidate], taken: &Standing) -> Free<'a> {
+        Free(candidates.iter().enumerate().filter(|(_, candidate)| !taken.any_like(candidate)).collect())
+    }
+
+    /// Index of the candidate closest to the expected place, within its radius. A centre that is known less well than
+    /// the place where it is looked for is none.
+    pub(crate) fn nearest(&self, expected: &Expected) -> Option<usize> {
+        let is_known = |candidate: &Candidate| {
+            candidate.covariance_px2.is_none_or(|[xx, _, yy]| xx.max(yy) <= expected.radius_px * expected.radius_px)
+        };
+        let known = self.0.iter().filter(|(_, candidate)| is_known(candidate));
+        let near = known.map(|(index, candidate)| (*index, distance(candidate, expected)));
+        near.filter(|(_, distance)| *distance <= expected.radius_px)
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(index, _)| index)
+    }
+}
+
+/// Leaves a mark that several GCPs want to the one it is nearest to, whatever their order in the list.
+pub(crate) fn one_gcp_each(expected: &[Expected], scanned: &[Candidate], answers: &mut [Refinement]) {
+    let mark = |answer: &Refinement| match answer {
+        Refinement::Kept { candidate } => Some(scanned[*candidate].clone()),
+        Refinement::Found(mark) => Some((**mark).clone()),
+        Refinement::NotFound | Refinement::Outside => None,
     };
-    candidates
-        .enumerate()
-        .filter(|(_, candidate)| is_known(candidate))
-        .map(|(index, candidate)| (index, distance(candidate, expected)))
-        .filter(|(_, distance)| *distance <= expected.radius_px)
-        .min_by(|a, b| a.1.total_cmp(&b.1))
-        .map(|(index, _)| index)
+    let mut wanted: Vec<(f64, usize, Candidate)> = Vec::new();
+    for (i, answer) in answers.iter().enumerate() {
+        wanted.extend(mark(answer).map(|mark| (distance(&mark, &expected[i]), i, mark)));
+    }
+    wanted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let mut standing = Standing::default();
+    for (_, i, mark) in wanted {
+        if standing.any_like(&mark) {
+            answers[i] = Refinement::NotFound;
+        } else {
+            standing.add(std::iter::once(&mark));
+        }
+    }
 }
 
 fn look_in_window(source: &dyn RasterSource, detector: &dyn Detector, expected: &Expected) -> Result<Vec<Candidate>> {
@@ -176,12 +223,40 @@ mod tests {
             ..Candidate::at(PixelPoint { x, y: 50.0 })
         };
         let expected = Expected { gcp: 0, position: PixelPoint { x: 50.0, y: 50.0 }, radius_px: 6.0 };
-        assert_eq!(nearest([at(51.0, 334.0), at(52.0, 0.3)].iter(), &expected), Some(1));
-        assert_eq!(nearest([at(51.0, 334.0)].iter(), &expected), None);
-        assert_eq!(
-            nearest([Candidate::at(expected.position)].iter(), &expected),
-            Some(0),
-            "of a list without deviations"
-        );
+        let nearest = |candidates: &[Candidate]| Free::among(candidates, &[]).nearest(&expected);
+        assert_eq!(nearest(&[at(51.0, 334.0), at(52.0, 0.3)]), Some(1));
+        assert_eq!(nearest(&[at(51.0, 334.0)]), None);
+        assert_eq!(nearest(&[Candidate::at(expected.position)]), Some(0), "of a list without deviations");
+    }
+
+    fn mark(x: f64) -> Candidate {
+        let at = Candidate::at(PixelPoint { x, y: 50.0 });
+        Candidate { area_px: Some(100.0), size_px: Some([10.0, 10.0]), ..at }
+    }
+
+    fn expect(gcp: usize, x: f64) -> Expected {
+        Expected { gcp, position: PixelPoint { x, y: 50.0 }, radius_px: 30.0 }
+    }
+
+    #[test]
+    fn a_mark_that_is_taken_is_no_other_gcps() {
+        let scanned = [mark(50.0), mark(70.0)];
+        assert_eq!(Free::among(&scanned, &[mark(50.2)]).nearest(&expect(0, 52.0)), Some(1));
+        assert_eq!(Free::among(&scanned, &[]).nearest(&expect(0, 52.0)), Some(0));
+    }
+
+    #[test]
+    fn the_nearer_of_two_gcps_has_the_mark_whichever_comes_first() {
+        let scanned = [mark(50.0)];
+        let kept = Refinement::Kept { candidate: 0 };
+        for (first, second) in [(kept.clone(), Refinement::Found(Box::new(mark(50.1)))), (kept.clone(), kept)] {
+            for (places, nearer) in [([58.0, 51.0], 1), ([51.0, 58.0], 0)] {
+                let expected = [expect(0, places[0]), expect(1, places[1])];
+                let mut answers = [first.clone(), second.clone()];
+                one_gcp_each(&expected, &scanned, &mut answers);
+                assert!(matches!(answers[1 - nearer], Refinement::NotFound), "{answers:?}");
+                assert!(!matches!(answers[nearer], Refinement::NotFound), "{answers:?}");
+            }
+        }
     }
 }

@@ -12,7 +12,7 @@ use crate::matching::doubtful::{Ground, doubtful_far};
 use crate::matching::field::Field;
 use crate::matching::{Evidence, Labels, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, Solved, TimeLimit};
 use crate::pipeline::{Progress, ScanOutcome, scan};
-use crate::rematch::{Expected, Refinement, rematch};
+use crate::rematch::{Expected, Free, Refinement, is_inside, one_gcp_each, rematch};
 use autoref_raster::RasterSource;
 use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 use autoref_raster::error::Result;
@@ -121,10 +121,12 @@ pub(super) fn match_and_orient(job: &Job<'_>, scan: ScanOutcome) -> Result<Run> 
             evidence.advice.extend(of_other_shape(&scan));
             Outcome::Refused(evidence)
         }
-        MatchOutcome::Solved(solved) => orient(job.gcps, &scan.candidates, *solved, |expected| match job.refine {
-            Refine::Always => rematch(job.source, job.refiner, &scan.candidates, expected),
-            Refine::Never => Ok(unrefined(job, &scan.candidates, expected)),
-        })?,
+        MatchOutcome::Solved(solved) => {
+            orient(job.gcps, &scan.candidates, *solved, |expected, taken| match job.refine {
+                Refine::Always => rematch(job.source, job.refiner, &scan.candidates, taken, expected),
+                Refine::Never => Ok(unrefined(job, (&scan.candidates, taken), expected)),
+            })?
+        }
     };
     Ok(Run { scan, outcome, match_s, rematch_s: started.elapsed().as_secs_f64() })
 }
@@ -142,12 +144,16 @@ fn of_other_shape(scan: &ScanOutcome) -> Option<String> {
 }
 
 /// What the scan saw of check points, and nothing of any other.
-fn unrefined(job: &Job<'_>, candidates: &[Candidate], expected: &[Expected]) -> Vec<Refinement> {
-    let (width, height) = (job.source.info().width as f64, job.source.info().height as f64);
-    let inside = |p: PixelPoint| p.x >= 0.0 && p.y >= 0.0 && p.x <= width && p.y <= height;
-    let answer = |e: &Expected| match nearest(candidates, e) {
+fn unrefined(
+    job: &Job<'_>,
+    (candidates, taken): (&[Candidate], &[Candidate]),
+    expected: &[Expected],
+) -> Vec<Refinement> {
+    let size_px = (job.source.info().width as f64, job.source.info().height as f64);
+    let free = Free::among(candidates, taken);
+    let answer = |e: &Expected| match free.nearest(e) {
         Some(candidate) if job.gcps[e.gcp].role == GcpRole::Check => Refinement::Kept { candidate },
-        _ if inside(e.position) => Refinement::NotFound,
+        _ if is_inside(e.position, size_px) => Refinement::NotFound,
         _ => Refinement::Outside,
     };
     expected.iter().map(answer).collect()
@@ -164,11 +170,11 @@ pub(super) fn orient_again(
     evidence: Solved,
     taught: &dyn Detector,
 ) -> Result<Outcome> {
-    orient(job.gcps, candidates, evidence, |expected| {
-        let mut answers = rematch(job.source, job.refiner, candidates, expected)?;
+    orient(job.gcps, candidates, evidence, |expected, taken| {
+        let mut answers = rematch(job.source, job.refiner, candidates, taken, expected)?;
         let missing: Vec<usize> = (0..expected.len()).filter(|&i| matches!(answers[i], Refinement::NotFound)).collect();
         let asked: Vec<Expected> = missing.iter().map(|&i| expected[i]).collect();
-        for (&i, answer) in missing.iter().zip(rematch(job.source, taught, &[], &asked)?) {
+        for (&i, answer) in missing.iter().zip(rematch(job.source, taught, &[], taken, &asked)?) {
             answers[i] = answer;
         }
         Ok(answers)
@@ -200,13 +206,12 @@ pub fn solve_candidates(
 ) -> Result<Outcome> {
     match matcher.find(candidates, gcps, &priors.with_mark_sizes(candidates)) {
         MatchOutcome::NoMatch(evidence) => Ok(Outcome::Refused(evidence)),
-        MatchOutcome::Solved(solved) => orient(gcps, candidates, *solved, |expected| {
-            let inside = |p: PixelPoint| {
-                priors.image_size_px.is_none_or(|(w, h)| p.x >= 0.0 && p.y >= 0.0 && p.x <= w && p.y <= h)
-            };
+        MatchOutcome::Solved(solved) => orient(gcps, candidates, *solved, |expected, taken| {
+            let inside = |p: PixelPoint| priors.image_size_px.is_none_or(|size_px| is_inside(p, size_px));
+            let free = Free::among(candidates, taken);
             Ok(expected
                 .iter()
-                .map(|e| match nearest(candidates, e) {
+                .map(|e| match free.nearest(e) {
                     Some(candidate) => Refinement::Kept { candidate },
                     None if inside(e.position) => Refinement::NotFound,
                     None => Refinement::Outside,
@@ -216,18 +221,11 @@ pub fn solve_candidates(
     }
 }
 
-fn nearest(candidates: &[Candidate], expected: &Expected) -> Option<usize> {
-    let distance = |c: &Candidate| (c.centre.x - expected.position.x).hypot(c.centre.y - expected.position.y);
-    (0..candidates.len())
-        .filter(|&i| distance(&candidates[i]) <= expected.radius_px)
-        .min_by(|&a, &b| distance(&candidates[a]).total_cmp(&distance(&candidates[b])))
-}
-
 fn orient(
     gcps: &[Gcp],
     candidates: &[Candidate],
     evidence: Solved,
-    look: impl Fn(&[Expected]) -> Result<Vec<Refinement>>,
+    look: impl Fn(&[Expected], &[Candidate]) -> Result<Vec<Refinement>>,
 ) -> Result<Outcome> {
     let first: Vec<FoundMark> = evidence
         .pattern
@@ -243,22 +241,25 @@ fn orient(
         .filter(|gcp| !first.iter().any(|mark| mark.gcp == *gcp))
         .map(|gcp| expect(gcp, &gcps[gcp], &solution, &evidence.pattern, density(candidates)))
         .collect();
-    let answers = look(&expected)?;
+    let paired: Vec<Candidate> = first.iter().map(|found| found.mark.clone()).collect();
+    let mut answers = look(&expected, &paired)?;
+    one_gcp_each(&expected, candidates, &mut answers);
     // Where names were heeded, a mark with another GCP's name is not this one, whatever its place.
     let labels = Labels::new(gcps);
     let may_be = |mark: &FoundMark| {
         evidence.names.is_none() || labels.named_by(&mark.mark).is_none_or(|named| named == mark.gcp)
     };
-    let mut taken: Vec<usize> = evidence.pattern.pairs.iter().map(|pair| pair.0).collect();
+    let kept = answers.iter().filter_map(|answer| match answer {
+        Refinement::Kept { candidate } => Some(*candidate),
+        _ => None,
+    });
+    let mut taken: Vec<usize> = evidence.pattern.pairs.iter().map(|pair| pair.0).chain(kept).collect();
     let (mut marks, mut check_marks) = (first, Vec::new());
     let (mut not_found, mut outside) = (Vec::new(), Vec::new());
     for (expected, answer) in expected.iter().zip(answers) {
         let gcp = expected.gcp;
         let found = match answer {
-            // One mark is one GCP.
-            Refinement::Kept { candidate } if taken.contains(&candidate) => None,
             Refinement::Kept { candidate } => {
-                taken.push(candidate);
                 Some(FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan })
             }
             Refinement::Found(mark) => Some(FoundMark { gcp, mark: *mark, found_by: FoundBy::Rematch }),

@@ -63,7 +63,7 @@ fn windows_show_bright_paint_on_ground_of_its_own_colour() {
         radius_px: 6.0,
     };
     let expected: Vec<Expected> = PLACES.iter().enumerate().map(expect).collect();
-    let answers = rematch(&source, &detector, &[], &expected).expect("memory");
+    let answers = rematch(&source, &detector, &[], &[], &expected).expect("memory");
     for ((x, y), answer) in PLACES.iter().zip(answers) {
         let Refinement::Found(mark) = answer else { panic!("{x}, {y}: {answer:?}") };
         assert!((mark.centre.x - x).hypot(mark.centre.y - y) < 0.1, "{x}, {y}: {mark:?}");

@@ -76,7 +76,7 @@ impl ExactSum {
         self.additions = 0;
     }
 
-    /// The sum, rounded towards zero beyond 106 bits and then to the nearest double.
+    /// The sum, rounded once to the nearest double; twice where that is subnormal.
     pub fn value(&self) -> f64 {
         let mut sum = self.clone();
         sum.carry();

@@ -449,6 +449,49 @@ fn las_1_5_is_written_as_1_4() {
     assert_eq!((&bytes[24..26], &bytes[94..96]), (&[1u8, 4][..], &375u16.to_le_bytes()[..]));
 }
 
+/// A header of 1.2 has no place for the number of points of the new formats.
+#[test]
+fn old_headers_with_new_point_formats_are_written_as_1_4() {
+    let folder = Folder::new();
+    let path = folder.at("old.las");
+    Las { minor: 2, point_format: 6, ..Las::default() }.write(&path);
+    for name in ["out.las", "out.laz", "out.copc.laz"] {
+        let out = folder.at(name);
+        clean(&path, &out, &out, &plan(Vec::new())).expect("cleaned");
+        assert_eq!(info(&out, None).expect("a cloud").points, 16, "{name}");
+        assert_eq!(std::fs::read(&out).expect("there")[25], 4, "{name}");
+    }
+}
+
+/// Steps that count against an axis: the least and the most are those of the map.
+#[test]
+fn negative_scale_factors_do_not_exchange_the_bounds() {
+    let folder = Folder::new();
+    let (path, out) = (folder.at("turned.las"), folder.at("out.las"));
+    Las { minor: 2, point_format: 0, ..Las::default() }.write(&path);
+    let mut bytes = std::fs::read(&path).expect("there");
+    bytes[139..147].copy_from_slice(&(-0.001f64).to_le_bytes());
+    std::fs::write(&path, bytes).expect("writable");
+    clean(&path, &out, &out, &plan(Vec::new())).expect("cleaned");
+    let written = std::fs::read(&out).expect("there");
+    let number = |at: usize| f64::from_le_bytes(written[at..at + 8].try_into().expect("eight bytes"));
+    assert!(number(195) > number(203), "{} to {}", number(203), number(195));
+}
+
+#[test]
+fn a_binary_element_of_nothing_takes_no_time() {
+    let folder = Folder::new();
+    let path = folder.at("nothing.ply");
+    let head = format!(
+        "ply\nformat binary_little_endian 1.0\nelement nothing {}\nelement vertex 3\nproperty float x\nproperty float \
+         y\nproperty float z\nend_header\n",
+        u64::MAX
+    );
+    let points: Vec<u8> = (0..9).flat_map(|i| (i as f32).to_le_bytes()).collect();
+    std::fs::write(&path, [head.as_bytes(), &points].concat()).expect("writable");
+    assert_eq!(info(&path, None).expect("a cloud").points, 3);
+}
+
 /// Sixteen points as a PLY of text with this header between its axes and its end, and these values behind x, y and z.
 fn ply_of(path: &Path, comment: &str, properties: &[&str], values: &str) {
     let header: String = properties.iter().map(|name| format!("property float {name}\n")).collect();

@@ -188,11 +188,17 @@ fn check_colours(path: &Path, text: &[u8]) -> Result<()> {
         }
         let words: Vec<&str> =
             line.split(|c: char| c.is_whitespace() || c == ',' || c == ':').filter(|word| !word.is_empty()).collect();
-        let height = words[0].strip_suffix('%').unwrap_or(words[0]).parse::<f64>().is_ok()
-            || words[0].eq_ignore_ascii_case("nv");
-        let numbers = words[1..].iter().all(|word| word.parse::<f64>().is_ok());
-        let named = words.len() == 2 && words[1].chars().all(|letter| letter.is_ascii_alphabetic());
-        if !height || !(named || (numbers && (4..=5).contains(&words.len()))) {
+        let is_number = |word: &str| word.parse::<f64>().is_ok();
+        let is_height =
+            |word: &str| is_number(word.strip_suffix('%').unwrap_or(word)) || word.eq_ignore_ascii_case("nv");
+        let is_row = match words[..] {
+            [height, name] if name.chars().all(|letter| letter.is_ascii_alphabetic()) => is_height(height),
+            [height, ref colour @ ..] => {
+                is_height(height) && matches!(colour.len(), 3 | 4) && colour.iter().all(|word| is_number(word))
+            }
+            [] => false,
+        };
+        if !is_row {
             let what = format!("`{line}` is no height with red, green and blue");
             return Err(Error::format(path, format!("line {}", number + 1), what));
         }
@@ -375,4 +381,21 @@ pub fn warp(source: &Path, out: &Path, options: &[&str]) -> Result<()> {
         }
     };
     failed.map_or(Ok(()), |text| Err(failed_to_write(out, &format!("warping {}: {text}", source.display()))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_of_colours_are_heights_with_three_or_four_numbers_or_a_name() {
+        let path = Path::new("table.txt");
+        for row in ["0 0 0 0", "50% 1,2,3", "nv:0:0:0:0", "12.5 red", "# a remark\n1 2 3 4"] {
+            check_colours(path, row.as_bytes()).unwrap_or_else(|e| panic!("{row}: {e}"));
+        }
+        for row in [",", "::", "1", "red 1 2 3", "1 2 3", "1 2 3 4 5 6", "1 r3d", ""] {
+            let said = check_colours(path, row.as_bytes()).expect_err(row).to_string();
+            assert!(said.contains("table.txt"), "{said}");
+        }
+    }
 }

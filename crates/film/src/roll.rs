@@ -172,21 +172,23 @@ fn write_table(scans: &[PathBuf], folder: &Path) -> Result<Summary> {
     atomic::with_temporary(&folder.join("fiducials.csv"), |path| {
         let file = std::fs::File::create(path).map_err(|e| Error::io(path, "create", e))?;
         let mut out = std::io::BufWriter::new(file);
-        let mut write = || -> std::io::Result<Summary> {
+        let failed = |e| Error::io(path, "write", e);
+        let mut write = || -> Result<Summary> {
             let mut summary = Summary::default();
             writeln!(
                 out,
                 "frame,frame_status,mark,mark_status,x_px,y_px,sigma_px,score,residual_x_um,residual_y_um,frame_rmse_um,pixel_um,reason"
-            )?;
+            )
+            .map_err(failed)?;
             for scan in scans {
-                let frame = read_frame(&frame_json(folder, scan)).map_err(std::io::Error::other)?;
+                let frame = read_frame(&frame_json(folder, scan))?;
                 summary.count(&frame.status);
-                table_rows(&frame, &mut out)?;
+                table_rows(&frame, &mut out).map_err(failed)?;
             }
-            out.flush()?;
+            out.flush().map_err(failed)?;
             Ok(summary)
         };
-        summary = write().map_err(|e| Error::io(path, "write", e))?;
+        summary = write()?;
         Ok(())
     })?;
     Ok(summary)

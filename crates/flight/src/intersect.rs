@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use crate::camera::Camera;
 use crate::pose::{Pose, Similarity};
 use crate::read::Reconstruction;
+use autoref_raster::random::SplitMix64;
 
 /// The point nearest to the rays; `None` when they are (nearly) parallel or it lies behind a camera.
 pub fn intersect(cameras: &[Camera], poses: &[(usize, Pose)], pixels: &[[f64; 2]]) -> Option<Vector3<f64>> {
@@ -48,27 +49,21 @@ pub(crate) fn intersect_seen(model: &Reconstruction, seen: &[(usize, [f64; 2])])
     intersect(&model.cameras, &poses, &pixels)
 }
 
+/// Triples that a datum is sought with: all of up to 50 points, drawn at random of more.
+const MOST_TRIPLES: usize = 20_000;
+
 /// The similarity that most GCPs agree with: least median over triples, then the agreeing ones by least squares.
 pub fn datum(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Similarity> {
     let n = from.len();
     let mut best: Option<(f64, Similarity)> = None;
-    let mut tried = 0;
-    'all: for i in 0..n {
-        for j in i + 1..n {
-            for k in j + 1..n {
-                let pick = |p: &[Vector3<f64>]| [p[i], p[j], p[k]];
-                if let Some(s) = Similarity::fit(&pick(from), &pick(to), &[1.0; 3]) {
-                    let mut d: Vec<f64> = from.iter().zip(to).map(|(a, b)| (s.apply(a) - b).norm()).collect();
-                    d.sort_by(f64::total_cmp);
-                    let score = d[(n / 2 + 1).min(n - 1)];
-                    if best.as_ref().is_none_or(|b| score < b.0) {
-                        best = Some((score, s));
-                    }
-                }
-                tried += 1;
-                if tried > 20_000 {
-                    break 'all;
-                }
+    for triple in triples(n) {
+        let pick = |p: &[Vector3<f64>]| triple.map(|i| p[i]);
+        if let Some(s) = Similarity::fit(&pick(from), &pick(to), &[1.0; 3]) {
+            let mut d: Vec<f64> = from.iter().zip(to).map(|(a, b)| (s.apply(a) - b).norm()).collect();
+            d.sort_by(f64::total_cmp);
+            let score = d[(n / 2 + 1).min(n - 1)];
+            if best.as_ref().is_none_or(|b| score < b.0) {
+                best = Some((score, s));
             }
         }
     }
@@ -82,4 +77,39 @@ pub fn datum(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Similarity> {
         s = Similarity::fit(from, to, &weights).unwrap_or(s);
     }
     Some(s)
+}
+
+/// All triples of so many points, or as many as are enough, drawn at random: the first in order would all hold the
+/// first point.
+fn triples(n: usize) -> Vec<[usize; 3]> {
+    if n < 3 {
+        return Vec::new();
+    }
+    if n * (n - 1) * (n - 2) / 6 <= MOST_TRIPLES {
+        return (0..n).flat_map(|i| (i + 1..n).flat_map(move |j| (j + 1..n).map(move |k| [i, j, k]))).collect();
+    }
+    let mut random = SplitMix64(n as u64);
+    let mut below = || (random.unit() * n as f64) as usize;
+    std::iter::repeat_with(|| [below(), below(), below()])
+        .filter(|[i, j, k]| i != j && j != k && i != k)
+        .take(MOST_TRIPLES)
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wrong_first_place_among_hundreds_does_not_turn_the_datum() {
+        let mut random = SplitMix64(4);
+        let from: Vec<Vector3<f64>> =
+            (0..300).map(|_| Vector3::new(random.unit(), random.unit(), 0.1 * random.unit()) * 900.0).collect();
+        let mut to: Vec<Vector3<f64>> = from.iter().map(|p| p * 2.0 + Vector3::new(5e5, 7e6, 100.0)).collect();
+        to[0] += Vector3::new(4000.0, -3000.0, 500.0);
+        let datum = datum(&from, &to).expect("300 places");
+        let off = from.iter().zip(&to).skip(1).map(|(a, b)| (datum.apply(a) - b).norm()).fold(0.0, f64::max);
+        assert!(off < 1e-6, "{off}");
+        assert!(triples(50).len() == 19_600 && triples(300).len() == MOST_TRIPLES && triples(2).is_empty());
+    }
 }

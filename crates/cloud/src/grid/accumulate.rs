@@ -182,8 +182,11 @@ impl Strip {
     }
 }
 
-/// √(n Σv² − (Σv)²) / n, in whole numbers as long as they fit.
+/// √(n Σv² − (Σv)²) / n, in whole numbers as long as they fit; NaN where the squares themselves do not.
 fn deviation([sum, squares]: [i128; 2], count: u32) -> f64 {
+    if squares == i128::MAX {
+        return f64::NAN;
+    }
     let n = i128::from(count);
     let spread = match (squares.checked_mul(n), sum.checked_mul(sum)) {
         (Some(all), Some(mean)) => (all - mean) as f64,
@@ -198,5 +201,21 @@ fn fill_medians(mut values: Vec<(u32, f64)>, medians: &mut [f64]) {
         let middle = run.len() / 2;
         let median = if run.len() % 2 == 1 { run[middle].1 } else { (run[middle - 1].1 + run[middle].1) / 2.0 };
         medians[run[0].0 as usize] = median;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn deviations_of_values_too_large_to_be_squared_are_none() {
+        let of = |values: [f64; 2]| {
+            let steps = values.map(|value| (value * SQUARE_STEPS).round() as i128);
+            let squares = steps.iter().fold(0i128, |sum, step| sum.saturating_add(step.saturating_mul(*step)));
+            deviation([steps.iter().sum(), squares], 2)
+        };
+        assert!((of([1.6e9, 1.6e9 + 2.0]) - 1.0).abs() < 1e-3);
+        assert!(of([1.6e15, 1.6e15 + 2e6]).is_nan());
     }
 }

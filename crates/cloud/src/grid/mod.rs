@@ -557,6 +557,10 @@ pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport>
     if strip_rows == 0 {
         return Err(too_wide(row_bytes * 2 + BASE_BYTES));
     }
+    let least_bytes = write::least_bytes(&frame, options);
+    if least_bytes > budget {
+        return Err(too_wide(least_bytes + BASE_BYTES));
+    }
     let mut work = Work {
         path,
         options,
@@ -574,7 +578,8 @@ pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport>
     for note in &notes {
         tracing::warn!("{}: {note}", path.display());
     }
-    let (files_written, cells_with_points) = write::write(path, folder, &frame, &mut planes, options, &place)?;
+    let (files_written, cells_with_points) =
+        write::write(path, folder, &frame, &mut planes, options, (&place, budget))?;
     Ok(GridReport {
         input: path.to_path_buf(),
         points,

@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::FileExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 use crate::schema::array;
@@ -52,6 +52,8 @@ pub(super) struct PointFile {
     file: BufWriter<File>,
     numbers: usize,
     bytes: u64,
+    /// The folder of the scratch disk.
+    parent: PathBuf,
 }
 
 impl PointFile {
@@ -61,7 +63,8 @@ impl PointFile {
     /// When no file can be made in `parent`.
     pub fn new(parent: &Path, numbers: usize) -> Result<PointFile> {
         let file = tempfile::tempfile_in(parent).map_err(|e| Error::io(parent, "make a scratch file in", e))?;
-        Ok(PointFile { file: BufWriter::with_capacity(1 << 16, file), numbers, bytes: 0 })
+        let file = BufWriter::with_capacity(1 << 16, file);
+        Ok(PointFile { file, numbers, bytes: 0, parent: parent.to_path_buf() })
     }
 
     /// Appends a record.
@@ -70,9 +73,8 @@ impl PointFile {
     /// When the scratch disk does not take the record.
     pub fn push(&mut self, place: &[f64; 2], values: &[f64]) -> Result<()> {
         for value in place.iter().chain(values) {
-            self.file.write_all(&value.to_le_bytes()).map_err(|e| {
-                Error::usage(format!("the scratch disk cannot be written: {e}"), "choose another --scratch")
-            })?;
+            let failed = |e| Error::io(&self.parent, "write scratch data to", e);
+            self.file.write_all(&value.to_le_bytes()).map_err(failed)?;
         }
         self.bytes += 8 * self.numbers as u64;
         Ok(())
@@ -83,9 +85,8 @@ impl PointFile {
     /// # Errors
     /// When what is buffered cannot be written or a record cannot be read back; and the first that `each` returns.
     pub fn each(&mut self, mut each: impl FnMut(&[f64]) -> Result<()>) -> Result<()> {
-        let failed = |e: std::io::Error| {
-            Error::usage(format!("the scratch disk cannot be read: {e}"), "choose another --scratch")
-        };
+        let parent = self.parent.clone();
+        let failed = |e: std::io::Error| Error::io(&parent, "read scratch data from", e);
         self.file.flush().map_err(failed)?;
         let mut file = self.file.get_ref();
         file.seek(SeekFrom::Start(0)).map_err(failed)?;

@@ -12,8 +12,14 @@ use super::plane::Plane;
 use super::{Frame, Manner, Options, Stat};
 use crate::error::{Error, Result};
 
-/// Rows written at a time: whole tiles of a GeoTIFF.
+/// Rows that are written at a time at most: whole tiles of a GeoTIFF.
 const ROWS: usize = 256;
+/// Rows of the lowest tile of a GeoTIFF, of which the others are multiples.
+const LEAST_ROWS: usize = 16;
+/// Bytes of a cell that is written: as read and as numbers of two planes, filled, as the file has it, in GDAL's cache.
+const WRITTEN_BYTES: u64 = 64;
+/// Bytes of a cell that only holes are filled from: as read and as a number.
+const LOOKED_AT_BYTES: u64 = 16;
 /// What GDAL and PDAL take for elevation models.
 const NODATA: f64 = -9999.0;
 
@@ -53,22 +59,43 @@ fn stem(cloud: &Path) -> String {
     Path::new(&name).file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Writes all grids of a cloud, all of them or none.
+/// Bytes that one row takes when it is written, and those of the rows that its holes are filled from.
+fn row_bytes(frame: &Frame, options: &Options) -> (u64, u64) {
+    let columns = frame.columns as u64;
+    let reach = if fills(options) { 2 * options.fill_cells as u64 } else { 0 };
+    (columns * WRITTEN_BYTES, columns * reach * LOOKED_AT_BYTES)
+}
+
+/// Bytes that the lowest piece of a grid takes when it is written.
+pub(super) fn least_bytes(frame: &Frame, options: &Options) -> u64 {
+    let (row, reach) = row_bytes(frame, options);
+    row * LEAST_ROWS as u64 + reach
+}
+
+/// Rows that are written at a time, for so many bytes: whole tiles.
+fn rows_together(frame: &Frame, options: &Options, bytes: u64) -> usize {
+    let (row, reach) = row_bytes(frame, options);
+    let rows = (bytes.saturating_sub(reach) / row.max(1)).min(ROWS as u64) as usize;
+    (rows / LEAST_ROWS * LEAST_ROWS).max(LEAST_ROWS)
+}
+
+/// Writes all grids of a cloud, all of them or none, with so many bytes for a piece.
 pub(super) fn write(
     cloud: &Path,
     folder: &Path,
     frame: &Frame,
     planes: &mut [Vec<Plane>],
     options: &Options,
-    place: &Place,
+    (place, bytes): (&Place, u64),
 ) -> Result<(Vec<PathBuf>, Vec<u64>)> {
     let stem = stem(cloud);
+    let together = rows_together(frame, options, bytes);
     let mut files = Transaction::new();
     let mut with_points = Vec::new();
     for (dimension, planes) in options.dimensions.iter().zip(planes) {
         with_points.push(count_cells(frame, &planes[0]).map_err(|e| scratch(options, e))?);
         let target = |name: &str| folder.join(format!("{stem}_{}_{name}.tif", dimension.name));
-        let grid = Grid { frame, planes, options, place, dimension: &dimension.name };
+        let grid = Grid { frame, planes, options, place, dimension: &dimension.name, together };
         for (index, (name, stat)) in options.stats.iter().enumerate() {
             let content = if *stat == Stat::Count { Content::Count } else { Content::Plane(index + 1) };
             files.stage(&target(name), |path| grid.write(path, &[(content, name.clone())]))?;
@@ -95,8 +122,8 @@ fn scratch(options: &Options, error: std::io::Error) -> Error {
 
 fn count_cells(frame: &Frame, counts: &Plane) -> std::io::Result<u64> {
     let mut cells = 0;
-    for row in (0..frame.rows).step_by(ROWS) {
-        let rows = ROWS.min(frame.rows - row);
+    for row in (0..frame.rows).step_by(LEAST_ROWS) {
+        let rows = LEAST_ROWS.min(frame.rows - row);
         cells += counts.read(row, rows)?.iter().filter(|&&count| count > 0.0).count() as u64;
     }
     Ok(cells)
@@ -108,6 +135,8 @@ struct Grid<'a> {
     options: &'a Options,
     place: &'a Place,
     dimension: &'a str,
+    /// Rows that are written at a time.
+    together: usize,
 }
 
 impl Grid<'_> {
@@ -145,8 +174,14 @@ impl Grid<'_> {
         let failed = |e: gdal::errors::GdalError| failed_to_write(path, &e.to_string());
         let watch = Written::watch(path);
         let driver = DriverManager::get_driver_by_name("GTiff").map_err(failed)?;
-        let settings =
-            RasterCreationOptions::from_iter(["TILED=YES", "BIGTIFF=IF_SAFER", "INTERLEAVE=BAND", "COMPRESS=ZSTD"]);
+        let tile_rows = format!("BLOCKYSIZE={}", self.together);
+        let settings = RasterCreationOptions::from_iter([
+            "TILED=YES",
+            "BIGTIFF=IF_SAFER",
+            "INTERLEAVE=BAND",
+            "COMPRESS=ZSTD",
+            &tile_rows,
+        ]);
         let (columns, rows) = (self.frame.columns, self.frame.rows);
         let mut file = driver
             .create_with_band_type_with_options::<T, _>(path, columns, rows, bands.len(), &settings)
@@ -166,8 +201,8 @@ impl Grid<'_> {
             band.set_description(name).map_err(failed)?;
             // All bands of a GeoTIFF share one value for nothing; counts and flags never take it.
             band.set_no_data_value(Some(NODATA)).map_err(failed)?;
-            for begin in (0..rows).step_by(ROWS) {
-                let count = ROWS.min(rows - begin);
+            for begin in (0..rows).step_by(self.together) {
+                let count = self.together.min(rows - begin);
                 let values = self.rows(content, begin, count).map_err(|e| scratch(self.options, e))?;
                 let values: Vec<T> =
                     values.into_iter().map(|value| cast(if value.is_nan() { NODATA } else { value })).collect();
@@ -236,5 +271,39 @@ impl Grid<'_> {
             Manner::Snapped => ((columns * columns + rows * rows) as f64).sqrt().powf(-self.options.power),
             Manner::Pdal => 1.0 / columns.max(rows) as f64,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::Noise;
+
+    #[test]
+    fn pieces_of_wide_grids_are_as_high_as_memory_allows() {
+        let frame = |columns: usize| Frame { columns, rows: 9000, west: 0.0, north: 0.0, cell_m: 0.1 };
+        let stats = vec![("mean".to_string(), Stat::Mean)];
+        let of = |columns: usize, fill_cells: usize, bytes: u64| {
+            let options = Options {
+                cell_m: 0.1,
+                stats: stats.clone(),
+                dimensions: Vec::new(),
+                fill_cells,
+                power: 1.0,
+                manner: Manner::Snapped,
+                noise: Noise::LeaveOut,
+                shift: None,
+                camera: None,
+                memory_bytes: 0,
+                scratch: PathBuf::new(),
+                crs_wkt: None,
+            };
+            (rows_together(&frame(columns), &options, bytes), least_bytes(&frame(columns), &options))
+        };
+        assert_eq!(of(5000, 3, 432 << 20).0, ROWS);
+        let (rows, least) = of(100_000, 0, 432 << 20);
+        assert_eq!((rows, least), (64, 16 * 64 * 100_000));
+        assert_eq!(of(100_000, 0, least).0, LEAST_ROWS);
+        assert!(of(100_000, 100, 1 << 30).1 > 320_000_000, "holes are filled from 200 rows more");
     }
 }

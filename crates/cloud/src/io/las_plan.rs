@@ -113,10 +113,14 @@ pub(super) fn keep(path: &Path, las: &LasHeader, target: &Target<'_>) -> Result<
     let mut head = las.raw.clone();
     // Version 1.0 has a mark before its points that later versions do not.
     head[25] = las.minor.max(2);
+    // Some old headers have the new point formats, whose number only those of 1.4 can say.
+    if las.point_format >= 6 && las.minor < 4 {
+        as_of_1_4(&mut head);
+    }
     if head.len() >= 235 {
         put(&mut head, 227, &[0; 8]);
     }
-    if las.minor == 4 {
+    if head[25] == 4 {
         put(&mut head, 235, &[0; 12]);
     }
     let mut vlrs: Vec<Vlr> =
@@ -131,6 +135,13 @@ pub(super) fn keep(path: &Path, las: &LasHeader, target: &Target<'_>) -> Result<
     }
     let offset = [0, 1, 2].map(|axis| las.offset[axis] + target.shift[axis]);
     Ok(Plan { head, vlrs, point_format: las.point_format, record_bytes, scale: las.scale, offset, recipe: None })
+}
+
+/// A header of LAS 1.4 and of its size.
+fn as_of_1_4(head: &mut Vec<u8>) {
+    head.resize(HEADER_BYTES, 0);
+    head[25] = 4;
+    put(head, 94, &(HEADER_BYTES as u16).to_le_bytes());
 }
 
 /// Adds the range behind the extra bytes that a LAS source has.
@@ -162,10 +173,8 @@ pub(super) fn index(path: &Path, las: &LasHeader, target: &Target<'_>) -> Result
             return Err(Error::unsupported(path, what, "name the output .laz"));
         }
     };
-    // The description of the octree stands at byte 375. Some old headers have the new point formats.
-    plan.head.resize(HEADER_BYTES, 0);
-    plan.head[25] = 4;
-    put(&mut plan.head, 94, &(HEADER_BYTES as u16).to_le_bytes());
+    // The description of the octree stands at byte 375.
+    as_of_1_4(&mut plan.head);
     if las.vlr("LASF_Projection", 2112).is_none() && las.crs().is_some() && plan.recipe.is_none() {
         plan.vlrs.retain(|vlr| vlr.user_id != "LASF_Projection");
         add_crs(path, &mut plan.head, &mut plan.vlrs, target)?;

@@ -255,6 +255,8 @@ impl PointWriter for LasWriter {
             if self.written == 0 { 0.0 } else { f64::from(steps) * self.scale[axis] + self.offset[axis] }
         };
         let [min, max] = [self.min, self.max].map(|steps| [0, 1, 2].map(|axis| bound(steps[axis], axis)));
+        // Steps may count against an axis.
+        let [min, max] = [f64::min, f64::max].map(|of| [0, 1, 2].map(|axis| of(min[axis], max[axis])));
         let (mut file, indexed) = match self.sink {
             Sink::Plain(file) => (file, None),
             Sink::Packed(mut packer) => {

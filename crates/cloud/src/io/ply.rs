@@ -280,6 +280,10 @@ fn skip_element(
     line: &mut u64,
 ) -> Result<()> {
     let cut = || Error::format(path, format!("element `{}`", element.name), "the file ends in it: it is truncated");
+    // Of nothing there may be any number.
+    if encoding != Encoding::Text && element.properties.is_empty() {
+        return Ok(());
+    }
     for _ in 0..element.count {
         if encoding == Encoding::Text {
             if read_line(path, file, line)?.is_none() {
@@ -425,7 +429,9 @@ fn encode(word: &str, kind: Kind) -> Option<[u8; 8]> {
         all[..N].copy_from_slice(&bytes);
         all
     }
-    let whole = || word.parse::<i64>().ok().or_else(|| word.parse::<f64>().ok().map(|value| value as i64));
+    let is_whole = |value: &f64| value.fract() == 0.0 && value.abs() < 2f64.powi(63);
+    let whole =
+        || word.parse::<i64>().ok().or_else(|| word.parse::<f64>().ok().filter(is_whole).map(|value| value as i64));
     Some(match kind {
         Kind::U8 => padded(u8::try_from(whole()?).ok()?.to_le_bytes()),
         Kind::I8 => padded(i8::try_from(whole()?).ok()?.to_le_bytes()),

@@ -168,24 +168,22 @@ impl Source {
 /// A date that sorts: of the metadata, else eight digits of the name, else the file's own.
 fn date_of(path: &Path, dataset: &Dataset) -> String {
     let digits = |text: &str| text.chars().filter(char::is_ascii_digit).collect::<String>();
+    let plausible = |run: &str| {
+        let number = |range: std::ops::Range<usize>| run[range].parse::<u32>().unwrap_or(0);
+        (1850..2200).contains(&number(0..4)) && (1..=12).contains(&number(4..6)) && (1..=31).contains(&number(6..8))
+    };
     for (key, domain) in [("TIFFTAG_DATETIME", ""), ("ACQUISITIONDATETIME", "IMAGERY"), ("ACQUISITION_DATE", "")] {
         if let Some(value) = dataset.metadata_item(key, domain) {
             let value = digits(&value);
-            if value.len() >= 8 {
+            // A camera whose clock was never set writes zeros.
+            if value.len() >= 8 && plausible(&value) {
                 return value;
             }
         }
     }
     let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let plausible = |run: &str| {
-        let number = |range: std::ops::Range<usize>| run[range].parse::<u32>().unwrap_or(0);
-        run.len() == 8
-            && (1850..2200).contains(&number(0..4))
-            && (1..=12).contains(&number(4..6))
-            && (1..=31).contains(&number(6..8))
-    };
     let mut runs = name.split(|c: char| !c.is_ascii_digit());
-    if let Some(run) = runs.rfind(|run| plausible(run)) {
+    if let Some(run) = runs.rfind(|run| run.len() == 8 && plausible(run)) {
         return run.to_string();
     }
     let modified = std::fs::metadata(path).and_then(|m| m.modified()).ok();
@@ -344,6 +342,20 @@ pub fn open_index(path: &Path, grid: &Grid) -> Result<Source> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A camera whose clock was never set writes zeros.
+    #[test]
+    fn a_date_that_is_none_leaves_the_word_to_the_name() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("north_20230514.tif");
+        let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+        for (said, date) in [("0000:00:00 00:00:00", "20230514"), ("2021:07:03 10:00:00", "20210703100000")] {
+            let mut made = driver.create_with_band_type::<u8, _>(&path, 2, 2, 1).expect("made");
+            made.set_metadata_item("TIFFTAG_DATETIME", said, "").expect("set");
+            made.close().expect("written");
+            assert_eq!(date_of(&path, &Dataset::open(&path).expect("opens")), date);
+        }
+    }
 
     #[test]
     fn a_companion_goes_by_the_longest_name_that_is_there() {

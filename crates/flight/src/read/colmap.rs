@@ -338,7 +338,11 @@ fn text(folder: &Path, parts: Parts) -> Result<Raw> {
             return Err(short(&path, row + 1));
         }
         let head = numbers(&path, row + 1, &words[..9])?;
-        let name = line.splitn(10, ' ').nth(9).unwrap_or(words[9]).trim().to_string();
+        // A name may have blanks: it is all that follows nine words.
+        let name = (0..9).fold(line.trim_start(), |rest, _| {
+            rest.split_once(char::is_whitespace).map_or("", |(_, rest)| rest.trim_start())
+        });
+        let name = name.trim_end().to_string();
         let mut points = Vec::new();
         if let Some((row, line)) = lines.next() {
             let words: Vec<&str> = line.split_whitespace().collect();
@@ -448,6 +452,19 @@ pub fn text_model(model: &Reconstruction) -> Result<[(&'static str, Vec<u8>); 3]
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// As other programs write the rows: aligned, with tabs, with blanks in names.
+    #[test]
+    fn names_are_all_that_follows_nine_words() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let put = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).expect("writable");
+        put("cameras.txt", "1 PINHOLE 200 100 150 150 100 50\n");
+        put("points3D.txt", "");
+        put("images.txt", "  1 1 0 0 0 0 0 0  1   left wing.jpg\n\n2\t1\t0\t0\t0\t1\t0\t0\t1\tb.jpg \n\n");
+        let model = read(folder.path()).expect("a model");
+        let names: Vec<&str> = model.photographs.iter().map(|p| p.name.as_str()).collect();
+        assert_eq!(names, ["left wing.jpg", "b.jpg"]);
+    }
 
     #[test]
     fn models_that_are_not_read_have_a_remedy() {

@@ -174,6 +174,7 @@ pub fn to_pixel(camera: &Camera, at: [f64; 2]) -> [f64; 2] {
 #[derive(Clone, Debug)]
 pub struct GroundControl {
     pub name: String,
+    /// Longitude and latitude, degrees, and height, metres; `None` where one of them is missing.
     pub lla: Option<[f64; 3]>,
     pub seen: Vec<(String, [f64; 2])>,
 }
@@ -195,7 +196,7 @@ pub fn ground_control(path: &Path, of: &Reconstruction) -> Result<Vec<GroundCont
         };
         let lla = p.get("position").and_then(|q| {
             let get = |k: &str| q.get(k).and_then(Value::as_f64);
-            Some([get("longitude")?, get("latitude")?, get("altitude").unwrap_or(0.0)])
+            Some([get("longitude")?, get("latitude")?, get("altitude")?])
         });
         let mut seen = Vec::new();
         for o in p.get("observations").and_then(Value::as_array).into_iter().flatten() {

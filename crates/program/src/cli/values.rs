@@ -131,22 +131,62 @@ pub fn word_of(choice: impl clap::ValueEnum) -> String {
     choice.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
 }
 
+/// What a side of a mark is given in.
+#[derive(Clone, Copy)]
+enum SideUnit {
+    Pixels,
+    /// `metres`: of the unit that is named, for a number without one.
+    Length {
+        metres: f64,
+    },
+}
+
+impl SideUnit {
+    /// `None` of a number alone.
+    fn of(text: &str) -> Option<SideUnit> {
+        match text.trim().ends_with("px") {
+            true => Some(SideUnit::Pixels),
+            false => length_unit(text).1.map(|metres| SideUnit::Length { metres }),
+        }
+    }
+
+    fn is_pixels(self) -> bool {
+        matches!(self, SideUnit::Pixels)
+    }
+
+    fn number(self, text: &str) -> Result<f64, String> {
+        let text = text.trim();
+        match self {
+            SideUnit::Length { metres } => length_m(text, Some(metres)),
+            SideUnit::Pixels => {
+                let pixels = text.strip_suffix("px").unwrap_or(text).trim().parse::<f64>().ok();
+                let pixels = pixels.filter(|v| *v > 0.0 && v.is_finite());
+                pixels.ok_or_else(|| format!("`{text}` is no size in pixels (px) or in metres (m, cm, mm)"))
+            }
+        }
+    }
+}
+
 impl FromStr for MarkSize {
     type Err = String;
     fn from_str(text: &str) -> Result<Self, String> {
         let (low, high) = text.split_once("..").unwrap_or((text, text));
-        let metres = high.trim_end().ends_with('m');
-        let number = |t: &str| {
-            let t = t.trim().trim_end_matches("px").trim_end_matches('m').trim();
-            t.parse::<f64>().ok().filter(|v| *v > 0.0 && v.is_finite()).ok_or(format!("`{t}` is no size"))
-        };
+        // "0.3..0.5m" names its unit once; a number alone is in pixels.
+        let units = [low, high].map(SideUnit::of);
+        let [from, to] = [units[0].or(units[1]), units[1].or(units[0])].map(|unit| unit.unwrap_or(SideUnit::Pixels));
+        if from.is_pixels() != to.is_pixels() {
+            return Err(format!("`{text}`: one size is in pixels, the other a length: give both in one of them"));
+        }
         // A single size means about that size.
-        let (low, high) = match (number(low)?, number(high)?) {
+        let (low, high) = match (from.number(low)?, to.number(high)?) {
             (low, high) if low == high => (low * 0.75, high * 1.25),
             (low, high) if low < high => (low, high),
             _ => return Err(format!("`{text}`: the smaller size comes first")),
         };
-        Ok(if metres { MarkSize::Metres(low, high) } else { MarkSize::Pixels(low, high) })
+        Ok(match to {
+            SideUnit::Pixels => MarkSize::Pixels(low, high),
+            SideUnit::Length { .. } => MarkSize::Metres(low, high),
+        })
     }
 }
 
@@ -192,6 +232,12 @@ mod tests {
         assert_eq!("512M".parse::<Bytes>().expect("a size").0, 512 << 20);
         assert_eq!("2GiB".parse::<Bytes>().expect("a size").0, 2 << 30);
         assert!("many".parse::<Bytes>().is_err());
-        assert_eq!("0.3m..0.5m".parse(), Ok(MarkSize::Metres(0.3, 0.5)));
+        for text in ["0.3m..0.5m", "0.3..0.5m", "0.3m..0.5", "300..500mm", "30 cm..0.5 m"] {
+            assert_eq!(text.parse(), Ok(MarkSize::Metres(0.3, 0.5)), "{text}");
+        }
+        assert_eq!("10..20".parse(), Ok(MarkSize::Pixels(10.0, 20.0)));
+        for text in ["0.2m..20px", "3dm..5dm", "10mpx", "5..4px", "0..3px"] {
+            assert!(text.parse::<MarkSize>().is_err(), "{text}");
+        }
     }
 }
