@@ -18,6 +18,7 @@ pub(crate) use self::datum::by_poses;
 use self::datum::placing;
 pub use self::datum::{OnGround, on_ground};
 use self::outcome::End;
+use self::positions::Aside;
 use self::screening::Screened;
 use self::snooping::Snooped;
 use crate::bundle::{
@@ -183,27 +184,8 @@ fn adjust_all(
     let dropped_ties = world.ties.len() - ties;
     notes.extend(snooping::hold_interiors(&mut problem));
 
-    // First everything may be wrong; then the ties' own accuracy is the unit; then GCPs count in full and are tested;
-    // what is grossly wrong with them goes before.
-    for o in &mut problem.observations {
-        o.trust = Trust::Robust;
-    }
-    let positions_aside = if control.is_empty() { positions::set_aside(&mut problem) } else { Vec::new() };
-    let loss = Loss::Huber(2.0);
-    let mut robust = Options { loss, most_iterations: 60, least_gain: 1e-8, ..Options::default() };
-    let mut screened = Screened::default();
-    screened.screen_rays(&mut problem, ties, screening::MONSTROUS);
-    screened.screen(&mut problem, ties, screening::MONSTROUS);
-    for _ in 0..SCREENINGS {
-        snooping::hold(&mut problem, ties, &control);
-        snooping::hold_frames(&mut problem);
-        solve(&mut problem, &robust)?;
-        robust.damping = FROM_NEAR;
-        let passed_by = screened.screen_rays(&mut problem, ties, screening::GROSS);
-        if !screened.screen(&mut problem, ties, screening::GROSS) && !passed_by {
-            break;
-        }
-    }
+    // First everything may be wrong; then the ties' own accuracy is the unit; then GCPs count in full and are tested.
+    let (mut screened, positions_aside) = robustly(&mut problem, ties, &control)?;
     let sigmas = options.sigma_tie_px.map_or_else(
         || sigmas_of_ties(&problem, ties).map(|s| s.max(options.least_sigma_tie_px)),
         |stated| [stated; 3],
@@ -253,6 +235,31 @@ fn adjust_all(
     let bent = misfit::notes(&adjusted.points, points, &adjusted.model, options.sigma_image_px);
     adjusted.notes.extend(bent);
     Ok(adjusted)
+}
+
+/// Adjusts with everything taken for possibly wrong, and sets aside what is grossly wrong: measurements, and positions
+/// where nothing else places the block.
+fn robustly(problem: &mut Problem, ties: usize, control: &[&GroundPoint]) -> Result<(Screened, Vec<Aside>)> {
+    for o in &mut problem.observations {
+        o.trust = Trust::Robust;
+    }
+    let positions_aside = if control.is_empty() { positions::set_aside(problem) } else { Vec::new() };
+    let loss = Loss::Huber(2.0);
+    let mut robust = Options { loss, most_iterations: 60, least_gain: 1e-8, ..Options::default() };
+    let mut screened = Screened::default();
+    screened.screen_rays(problem, ties, screening::MONSTROUS);
+    screened.screen(problem, ties, screening::MONSTROUS);
+    for _ in 0..SCREENINGS {
+        snooping::hold(problem, ties, control);
+        snooping::hold_frames(problem);
+        solve(problem, &robust)?;
+        robust.damping = FROM_NEAR;
+        let passed_by = screened.screen_rays(problem, ties, screening::GROSS);
+        if !screened.screen(problem, ties, screening::GROSS) && !passed_by {
+            break;
+        }
+    }
+    Ok((screened, positions_aside))
 }
 
 fn build(world: &Reconstruction, control: &[&GroundPoint], options: &AdjustOptions) -> (Problem, Vec<usize>) {

@@ -27,11 +27,18 @@ struct Wrong {
     test: f64,
 }
 
+/// A position that takes no part, and its standard deviation.
+pub(super) struct Aside {
+    frame: usize,
+    at: Vector3<f64>,
+    sigma: Vector3<f64>,
+}
+
 /// Positions that cannot be those of the block's frames, by its shape as it is: from where the scale and the shift that
 /// most agree with have them, they lie more than eight times as far as half of the others. Such a position would bend
 /// the block, its focal length first, until no test sees it. They are set aside, and the block goes to where the others
 /// have it; three in ten at most, and of fewer than [`LEAST`] none.
-pub(super) fn set_aside(problem: &mut Problem) -> Vec<(usize, Vector3<f64>, Vector3<f64>)> {
+pub(super) fn set_aside(problem: &mut Problem) -> Vec<Aside> {
     /// Times what half of all miss, or their deviation.
     const GROSS: f64 = 8.0;
     const MOST_GROSS: f64 = 0.3;
@@ -53,7 +60,7 @@ pub(super) fn set_aside(problem: &mut Problem) -> Vec<(usize, Vector3<f64>, Vect
     let miss = |from: &Vector3<f64>, to: &Vector3<f64>| (to - from * scale - shift).norm();
     let usual = middle(all.iter().map(|(_, from, to, _)| miss(from, to)).collect());
     let gross = all.iter().filter(|(_, from, to, sigma)| miss(from, to) > GROSS * usual.max(sigma.norm()));
-    let aside: Vec<_> = gross.map(|(i, _, at, sigma)| (*i, *at, *sigma)).collect();
+    let aside: Vec<Aside> = gross.map(|(i, _, at, sigma)| Aside { frame: *i, at: *at, sigma: *sigma }).collect();
     if aside.is_empty() || aside.len() as f64 > MOST_GROSS * all.len() as f64 {
         return Vec::new();
     }
@@ -63,7 +70,7 @@ pub(super) fn set_aside(problem: &mut Problem) -> Vec<(usize, Vector3<f64>, Vect
     for point in problem.points.iter_mut().filter(|p| p.survey.is_none()) {
         point.xyz = point.xyz * scale + shift;
     }
-    aside.iter().for_each(|(i, ..)| problem.frames[*i].position = None);
+    aside.iter().for_each(|one| problem.frames[one.frame].position = None);
     aside
 }
 
@@ -78,11 +85,7 @@ fn middle(mut values: Vec<f64>) -> f64 {
 ///
 /// # Errors
 /// Those of [`solve`].
-pub(super) fn snoop(
-    problem: &mut Problem,
-    world: &Reconstruction,
-    aside: Vec<(usize, Vector3<f64>, Vector3<f64>)>,
-) -> Result<Vec<String>> {
+pub(super) fn snoop(problem: &mut Problem, world: &Reconstruction, aside: Vec<Aside>) -> Result<Vec<String>> {
     let solving = Options { loss: LOSS, ..Options::default() };
     let all = problem.frames.iter().filter(|f| f.position.is_some()).count();
     if all < LEAST && aside.is_empty() {
@@ -92,7 +95,7 @@ pub(super) fn snoop(
     if !aside.is_empty() {
         solve(problem, &solving)?;
         let factored = factor(problem, LOSS);
-        for (frame, at, sigma) in aside {
+        for Aside { frame, at, sigma } in aside {
             let off = at - problem.frames[frame].pose.centre;
             let variance = factored
                 .as_ref()

@@ -73,8 +73,8 @@ pub struct MarkArgs {
     /// `--features coded`.
     #[arg(long, value_name = "NAME|FILE", default_value = DEFAULT_PROFILE, help_heading = "Marks")]
     pub profile: String,
-    /// Side or diameter of the marks, in pixels (12 or 10..14) or metres (0.4m or 0.3m..0.5m). Default: what the
-    /// profile says.
+    /// Side or diameter of the marks, in pixels (12 or 10..14) or a length (0.4m, 0.3..0.5m or 300..500mm). Default:
+    /// what the profile says.
     #[arg(long, value_name = "SIZE", help_heading = "Marks")]
     pub mark_size: Option<MarkSize>,
     /// Drop candidates that do not satisfy this rule: `area in [20, 400) and eccentricity <= 0.9`. Properties: area,
