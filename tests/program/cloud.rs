@@ -44,6 +44,28 @@ impl Folder {
     }
 }
 
+/// A name that is no UTF-8 is a name.
+#[test]
+fn clouds_with_odd_names_are_told_in_json() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+    let folder = Folder::new();
+    let (odd, out) = (folder.0.path().join(OsStr::from_bytes(b"l\xf8.xyz")), folder.at("grids"));
+    std::fs::write(&odd, "0 0 1\n1 0 2\n0 1 3\n1 1 4\n").expect("writable");
+    let run = |words: &[&OsStr]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_autoref-stream")).arg("cloud").args(words).output();
+        let output = output.expect("the program runs");
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{words:?}: {told}");
+        serde_json::from_slice::<Value>(&output.stdout).expect("JSON")
+    };
+    let told = run(&["info".as_ref(), odd.as_ref(), "--json".as_ref()]);
+    assert_eq!(told["clouds"][0]["points"], 4);
+    let words = ["grid", "-o", out.to_str().expect("UTF-8"), "--cell", "1", "--json"].map(OsStr::new);
+    let told = run(&[&words[..], &[odd.as_ref()]].concat());
+    assert!(told["files_written"].as_array().is_some_and(|files| !files.is_empty()), "{told}");
+}
+
 /// Gentle ground, 20 × 20 m, with a point 30 m above it.
 fn ground() -> Vec<[f32; 3]> {
     let mut points = Vec::new();

@@ -113,7 +113,9 @@ pub struct StepReport {
 /// What became of a cloud.
 #[derive(Clone, Debug, Serialize)]
 pub struct CleanReport {
+    #[serde(serialize_with = "autoref_raster::path_text::one")]
     pub input: PathBuf,
+    #[serde(serialize_with = "autoref_raster::path_text::one")]
     pub output: PathBuf,
     pub format: String,
     pub crs: Option<String>,

@@ -15,6 +15,7 @@ const BATCH: usize = 1 << 14;
 /// A cloud in numbers.
 #[derive(Clone, Debug, Serialize)]
 pub struct Info {
+    #[serde(serialize_with = "autoref_raster::path_text::one")]
     pub path: PathBuf,
     pub format: String,
     pub points: u64,

@@ -64,6 +64,23 @@ pub fn numbers<const N: usize>(option: &str, text: &str, form: &str) -> Result<[
     Ok(values)
 }
 
+/// What is added to coordinates: E, N and H, so small that doubles still hold parts of a millimetre.
+///
+/// # Errors
+/// When `text` is not three such numbers.
+pub fn shift(option: &str, text: &str) -> Result<[f64; 3]> {
+    /// Doubles beyond are coarser than 2⁻¹³.
+    const MOST: f64 = 1e12;
+    let values = numbers(option, text, "E,N,H")?;
+    match values.iter().find(|value| value.abs() > MOST) {
+        None => Ok(values),
+        Some(value) => {
+            let what = format!("{option}: {value:e} is beyond all maps, and coordinates would lose their millimetres");
+            Err(Error::usage(what, "give what was taken off the cloud's coordinates"))
+        }
+    }
+}
+
 /// A positive value, or an error that names it.
 ///
 /// # Errors
@@ -111,5 +128,8 @@ mod tests {
         assert_eq!(numbers::<2>("--z", "-50,716", "MIN,MAX").expect("two"), [-50.0, 716.0]);
         assert!(numbers::<3>("--shift", "1,2", "E,N,H").is_err());
         assert!(numbers::<2>("--z", "1,nan", "MIN,MAX").is_err());
+        assert_eq!(shift("--shift", "600000,-8600000,0").expect("a place"), [600_000.0, -8_600_000.0, 0.0]);
+        let said = shift("--shift", "0,1e300,0").expect_err("beyond all maps").to_string();
+        assert!(said.starts_with("--shift: 1e300 is beyond all maps"), "{said}");
     }
 }

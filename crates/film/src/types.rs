@@ -237,6 +237,7 @@ impl InteriorOrientation {
 /// Everything about one scan; this is the frame's JSON.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FrameResult {
+    #[serde(serialize_with = "autoref_raster::path_text::one")]
     pub path: PathBuf,
     /// File name without folder and extension.
     pub name: String,

@@ -49,7 +49,9 @@ pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
 
 /// A text file whole, in UTF-16 where its first two bytes say so; what is no UTF-8 is taken as Latin-1.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
-    Ok(decoded(read_bytes(path)?))
+    let text = decoded(read_bytes(path)?);
+    // Old programs end lines with a carriage return alone.
+    if text.contains('\n') || !text.contains('\r') { Ok(text) } else { Ok(text.replace('\r', "\n")) }
 }
 
 fn decoded(bytes: Vec<u8>) -> String {
@@ -69,6 +71,16 @@ fn decoded(bytes: Vec<u8>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lines_of_old_programs_are_lines() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("t.csv");
+        for (written, read) in [("a\rb\r", "a\nb\n"), ("a\r\nb\r\n", "a\r\nb\r\n"), ("a\n", "a\n")] {
+            std::fs::write(&path, written).expect("writable");
+            assert_eq!(read_text(&path).expect("text"), read);
+        }
+    }
 
     #[test]
     fn text_is_read_in_the_encodings_of_spreadsheets() {

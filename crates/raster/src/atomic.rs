@@ -4,12 +4,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-pub use crate::parts::abandon;
+pub use crate::parts::{Part, abandon};
 
 use crate::bounded::companions_of;
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
-use crate::parts::{Part, Placing};
+use crate::parts::Placing;
 use crate::protected::refuse_input;
 use crate::written::Written;
 

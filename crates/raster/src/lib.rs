@@ -45,6 +45,7 @@ mod open;
 pub mod output_folder;
 mod parts;
 mod patch;
+pub mod path_text;
 mod pool;
 pub mod protected;
 pub mod random;

@@ -13,11 +13,13 @@ static ENDING: AtomicBool = AtomicBool::new(false);
 
 const PAUSE: Duration = Duration::from_millis(5);
 
-/// A file or folder under a temporary name, from before it is made until it is in place or gone.
-pub(crate) struct Part(PathBuf);
+/// A file or folder under a temporary name, from before it is made until it is in place or gone: a run that is told to
+/// end removes it.
+pub struct Part(PathBuf);
 
 impl Part {
-    pub(crate) fn of(temporary: &Path) -> Part {
+    /// Of a hidden name that nothing else begins with.
+    pub fn of(temporary: &Path) -> Part {
         PARTS.lock().unwrap_or_else(PoisonError::into_inner).push(temporary.to_owned());
         Part(temporary.to_owned())
     }

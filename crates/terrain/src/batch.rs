@@ -83,6 +83,7 @@ pub struct Given {
 /// What became of a frame.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
+    #[serde(serialize_with = "autoref_raster::path_text::one")]
     pub frame: PathBuf,
     pub status: &'static str,
     pub width: u64,
@@ -94,8 +95,10 @@ pub struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unlike_share: Option<f64>,
     pub warnings: Vec<String>,
+    #[serde(serialize_with = "autoref_raster::path_text::one")]
     pub mask: PathBuf,
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(serialize_with = "autoref_raster::path_text::some")]
     pub probability: Option<PathBuf>,
     pub method: &'static str,
     pub reduce: usize,

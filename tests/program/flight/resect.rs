@@ -17,6 +17,11 @@ fn resect_places_a_frame_and_names_the_blunder() {
     };
     let output = resect("f2.png", &gcps, &[]);
     expect(&output, 0, &[]);
+    for size in ["-480,480", "0,0", "480.5,480", "1e9,480"] {
+        let size = format!("--size={size}");
+        let words = ["flight", "resect", "f2.png", "--gcps", text(&gcps), "--f-px", "500", &size];
+        expect(&autoref(&words, None, &[]), 2, &["--size", "whole pixels"]);
+    }
     let document = json(&output);
     let truth = place.flight.model.photographs[2].pose;
     let off = |d: &Value| {

@@ -220,6 +220,7 @@ impl Source {
 /// What was written for a cloud.
 #[derive(Clone, Debug, Serialize)]
 pub struct GridReport {
+    #[serde(serialize_with = "autoref_raster::path_text::one")]
     pub input: PathBuf,
     pub points: u64,
     /// Noise, and points that have no value at all.
@@ -234,6 +235,7 @@ pub struct GridReport {
     pub crs: Option<String>,
     pub strips: usize,
     pub cells_with_points: Vec<u64>,
+    #[serde(serialize_with = "autoref_raster::path_text::many")]
     pub files_written: Vec<PathBuf>,
     pub seconds: f64,
 }

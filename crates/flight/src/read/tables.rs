@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::FARTHEST;
 use super::titles::{
     ANGLES, COLUMNS, Heading, IMAGES, NAMES, PIXEL_X, PIXEL_Y, column_at, degrees_of, fields, is_geographic,
-    names_angles, no_more_cells, separator, titles_of,
+    named_twice, names_angles, no_more_cells, separator, titles_of,
 };
 use crate::error::{Error, Result, read_text};
 use crate::pose::{Pose, YawPitchRoll};
@@ -110,6 +110,10 @@ pub fn cameras(path: &Path) -> Result<Vec<CameraRow>> {
     }
     let heads = &heading.heads;
     let cut = separator(lines.first().map_or(first, |(_, l)| l));
+    if let Some(twice) = named_twice(heads).filter(|_| heading.names_places()) {
+        let what = format!("two columns are called `{twice}`; name each column once");
+        return Err(Error::format(path, "the heading", what));
+    }
     let place = |keys: &[&str]| heads.iter().position(|h| keys.contains(&h.as_str()));
     let column = |name: &str| COLUMNS.iter().find(|c| c.0 == name).and_then(|c| place(c.1));
     let geographic = is_geographic(heads);
@@ -445,6 +449,8 @@ mod tests {
     fn rows_with_more_cells_than_titles_are_refused() {
         let (path, _gone) = file("name,x,y,z,omega,phi,kappa\na.tif,500000,5,4500000,5,664,0,0,0,0\n");
         assert!(cameras(&path).is_err_and(|e| e.to_string().contains("row 2: 10 cells in 7 columns, as from numbers")));
+        let (path, _gone) = file("name,x,x,y,z\na.tif,1,2,3,4\n");
+        assert!(cameras(&path).is_err_and(|e| e.to_string().contains("two columns are called `x`")));
         let (path, _gone) = file("name,image,px,py\nP,a.tif,10,5,20,5\n");
         assert!(image_points(&path).is_err_and(|e| e.to_string().contains("6 cells in 4 columns")));
     }

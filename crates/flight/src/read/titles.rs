@@ -46,6 +46,11 @@ pub(super) fn no_more_cells(fields: &[String], columns: usize, cut: Option<char>
     Err(format!("{cells} cells in {columns} columns, as from {cause}"))
 }
 
+/// A title that two columns have.
+pub(super) fn named_twice(heads: &[String]) -> Option<&String> {
+    heads.iter().enumerate().find(|(at, head)| !head.is_empty() && heads[..*at].contains(head)).map(|(_, head)| head)
+}
+
 /// Titles of the column that names the frames, as [`title`] has them.
 pub(super) const NAMES: [&str; 18] = [
     "name",

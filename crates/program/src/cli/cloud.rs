@@ -69,7 +69,7 @@ pub struct MeansArgs {
 
 impl MeansArgs {
     pub fn shift(&self) -> anyhow::Result<Option<[f64; 3]>> {
-        Ok(self.shift.as_deref().map(|text| params::numbers("--shift", text, "E,N,H")).transpose()?)
+        Ok(self.shift.as_deref().map(|text| params::shift("--shift", text)).transpose()?)
     }
 
     /// Checks memory and clouds, starts the threads.
@@ -219,7 +219,7 @@ pub fn run(args: &CloudArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn run_info(args: &InfoArgs) -> anyhow::Result<ExitCode> {
-    let shift = args.shift.as_deref().map(|text| params::numbers("--shift", text, "E,N,H")).transpose()?;
+    let shift = args.shift.as_deref().map(|text| params::shift("--shift", text)).transpose()?;
     let mut all = Vec::new();
     for cloud in &args.clouds {
         let mut info = info::info(cloud, shift)?;

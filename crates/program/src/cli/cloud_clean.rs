@@ -311,7 +311,7 @@ fn one(cloud: &Path, target: &Path, plan: &Plan, identity: Value, args: &CleanAr
         outputs.stage_bytes(&beside(target, "html"), page::page(&report).as_bytes())?;
         written.push(beside(target, "html"));
     }
-    value["files_written"] = json!(written);
+    value["files_written"] = written.iter().map(|path| path.to_string_lossy()).collect();
     value["output_bytes"] = json!(output_bytes);
     value["output_fingerprint"] = json!(content.hex());
     outputs.stage_bytes(&beside(target, "json"), serde_json::to_string_pretty(&value)?.as_bytes())?;

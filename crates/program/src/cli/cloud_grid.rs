@@ -172,7 +172,8 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
         reports.push(report);
     }
     if args.means.json {
-        println!("{}", serde_json::to_string_pretty(&serde_json::json!({ "files_written": all, "clouds": reports }))?);
+        let told: Vec<_> = all.iter().map(|path| path.to_string_lossy()).collect();
+        println!("{}", serde_json::to_string_pretty(&serde_json::json!({ "files_written": told, "clouds": reports }))?);
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -11,6 +11,7 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::fiducials_page::{self, At};
+use super::film_outputs;
 use autoref_raster::words::counted;
 
 /// Find the fiducial marks of scanned film frames and solve their interior orientation.
@@ -167,6 +168,11 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let finder = Finder::new(&camera)?;
+    // What can be refused is refused before the first frame.
+    args.outputs.resampling.options()?;
+    if let Some(path) = &args.outputs.patch {
+        film_outputs::patch(path)?;
+    }
     if let Some(n) = args.threads {
         if n == 0 {
             bail!("0 threads can do nothing; use 1 or more");

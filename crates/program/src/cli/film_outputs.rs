@@ -51,6 +51,14 @@ pub fn write_outputs(
     Ok(())
 }
 
+/// What a review of the frames has saved.
+///
+/// # Errors
+/// When it cannot be read, or is of another review.
+pub fn patch(path: &Path) -> anyhow::Result<PatchFile> {
+    Ok(PatchFile::read(path, Subject::Fiducials)?)
+}
+
 fn replay(
     dir: &Path,
     camera: &Camera,
@@ -58,7 +66,7 @@ fn replay(
     model: InteriorModel,
     path: &Path,
 ) -> anyhow::Result<()> {
-    let edits = PatchFile::read(path, Subject::Fiducials)?;
+    let edits = patch(path)?;
     let mut named = edits.edits.iter().filter_map(replay::names);
     if let Some((frame, _)) = named.find(|(name, _)| frames.iter().all(|f| f.name != *name)) {
         bail!("{}: frame {frame} is not in this roll", path.display());

@@ -73,7 +73,7 @@ pub enum BandingName {
 }
 
 impl ResampleArgs {
-    fn options(&self) -> anyhow::Result<ResampleOptions> {
+    pub fn options(&self) -> anyhow::Result<ResampleOptions> {
         if !(0.0005..=1.0).contains(&self.resample_mm) {
             bail!("--resample-mm must be between 0.0005 and 1");
         }

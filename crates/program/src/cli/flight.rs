@@ -211,6 +211,9 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// No frame is wider or higher, pixels.
+const MOST_SIDE_PX: f64 = 1e6;
+
 fn check_resect_numbers(args: &ResectArgs) -> Result<()> {
     for (name, list, count) in [("pp-px", &args.pp_px, 2), ("size", &args.size, 2), ("position", &args.position, 3)] {
         if list
@@ -219,6 +222,10 @@ fn check_resect_numbers(args: &ResectArgs) -> Result<()> {
         {
             bail!("--{name}: {count} numbers with commas between them, none beyond all maps, are expected");
         }
+    }
+    let is_side = |v: &f64| v.fract() == 0.0 && (1.0..=MOST_SIDE_PX).contains(v);
+    if let Some(size) = args.size.as_ref().filter(|size| !size.iter().all(is_side)) {
+        bail!("--size {},{}: width and height of the frame in whole pixels, from 1 up, are expected", size[0], size[1]);
     }
     check_sigmas(&[
         ("sigma-image", Some(args.points.how.sigma_image)),
@@ -379,10 +386,8 @@ pub(super) fn image_size(frame: &Path, pp: Option<&[f64]>) -> Result<[f64; 2]> {
 
 pub(super) fn check_output(output: Option<&Path>, existing: Existing) -> Result<()> {
     match output {
-        Some(path) if path.exists() && existing == Existing::Keep => {
-            bail!("{} exists; give --overwrite to replace it", path.display())
-        }
-        _ => Ok(()),
+        Some(path) => Ok(autoref_raster::atomic::check_outputs(&[path], existing)?),
+        None => Ok(()),
     }
 }
 

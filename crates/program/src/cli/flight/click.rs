@@ -38,7 +38,9 @@ type Thought = Vec<Option<(Pose, Camera)>>;
 
 pub fn click(args: &ClickArgs) -> Result<ExitCode> {
     let page = args.output.join("click.html");
-    check_output(Some(&page), Existing::of_flag(args.overwrite))?;
+    if args.output.is_dir() {
+        check_output(Some(&page), Existing::of_flag(args.overwrite))?;
+    }
     let (project, base) = read_project(&args.project)?;
     let mut frames = ordered_frames(&project, &base)?;
     if args.cameras.is_none() {

@@ -4,7 +4,7 @@ mod draw;
 mod model;
 mod place;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
@@ -14,7 +14,8 @@ use autoref_flight::world::World;
 use autoref_raster::atomic::Existing;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::Error as RasterError;
-use gdal::raster::GdalDataType;
+use autoref_raster::refuse_signed_bytes;
+use gdal::raster::{GdalDataType, RasterBand};
 use nalgebra::Matrix3;
 use serde_json::json;
 
@@ -109,7 +110,8 @@ pub fn run(args: &OrthorectifyArgs) -> Result<ExitCode> {
         budget_bytes,
     };
     let wkt = dem.crs.as_ref().map_or("", Crs::wkt);
-    let first = frame.rasterband(1).map_err(|e| RasterError::gdal(&args.frame, e))?.band_type();
+    let band = frame.rasterband(1).map_err(|e| RasterError::gdal(&args.frame, e))?;
+    let first = kind_of(&args.frame, &band)?;
     drop(frame);
     let seen = match first {
         GdalDataType::UInt8 => job.write::<u8>(&out, wkt, Some(255.0))?,
@@ -126,6 +128,17 @@ pub fn run(args: &OrthorectifyArgs) -> Result<ExitCode> {
         println!("{}: {} x {} px of {gsd:.4}", out.display(), grid.width, grid.height);
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The type of a frame's samples; those that an orthophoto of whole or single numbers cannot hold are refused.
+fn kind_of(frame: &Path, band: &RasterBand<'_>) -> Result<GdalDataType> {
+    refuse_signed_bytes(frame, band)?;
+    let kind = band.band_type();
+    if kind.is_integer() || kind.is_floating() {
+        return Ok(kind);
+    }
+    let what = format!("samples of type {}", kind.name());
+    Err(RasterError::unsupported(frame, what, "bring them to Float32 with gdal_translate -ot").into())
 }
 
 impl OrthorectifyArgs {

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use autoref_flight::Error;
-use autoref_flight::read::same_image;
 use autoref_flight::read::tables::{Angles, CameraRow};
+use autoref_flight::read::{FARTHEST, same_image};
 use serde::{Deserialize, Serialize};
 
 use super::{camera_tables, interior, lists, views};
@@ -230,6 +230,23 @@ impl Project {
                 return refuse(key, format!("is {value}; a positive number is expected"));
             }
         }
+        let rough = self.rough.as_ref();
+        let places = [
+            ("camera.pp_px", self.camera.pp_px.map(|pp| pp[0])),
+            ("camera.pp_px", self.camera.pp_px.map(|pp| pp[1])),
+            ("rough.ground_m", rough.and_then(|rough| rough.ground_m)),
+        ];
+        for (key, value) in places {
+            if let Some(value) = value.filter(|v| v.is_nan() || v.abs() >= FARTHEST) {
+                return refuse(key, format!("is {value}, which is no place"));
+            }
+        }
+        if let Some(pitch) = rough.and_then(|rough| rough.pitch_deg).filter(|pitch| !(-90.0..=90.0).contains(pitch)) {
+            return refuse(
+                "rough.pitch_deg",
+                format!("is {pitch}; degrees from -90 (straight down) to 90 are expected"),
+            );
+        }
         let named = [
             ("frames.folder", Some(&self.frames.folder)),
             ("rough.table", self.rough.as_ref().map(|rough| &rough.table)),
@@ -385,5 +402,25 @@ mod tests {
                 assert!(shown[part].get(key).is_some(), "{part}.{key} is not documented");
             }
         }
+    }
+    #[test]
+    fn values_that_no_stage_can_work_with_are_refused() {
+        let guide = include_str!("../../../../../docs/flight.md");
+        let example = guide.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
+        let whole: Project = toml::from_str(example).expect("the documented example");
+        let said = |change: fn(&mut Project)| {
+            let mut project = whole.clone();
+            change(&mut project);
+            project.check(Path::new("FLIGHT.toml")).map_err(|e| e.to_string())
+        };
+        assert_eq!(said(|_| ()), Ok(()));
+        let refused = |change: fn(&mut Project), key: &str| {
+            let what = said(change).expect_err(key);
+            assert!(what.contains(key), "{what}");
+        };
+        refused(|p| p.camera.f_px = Some(f64::NAN), "camera.f_px");
+        refused(|p| p.camera.pp_px = Some([900.0, f64::NAN]), "camera.pp_px");
+        refused(|p| p.rough.iter_mut().for_each(|r| r.ground_m = Some(-1e300)), "rough.ground_m");
+        refused(|p| p.rough.iter_mut().for_each(|r| r.pitch_deg = Some(400.0)), "rough.pitch_deg");
     }
 }

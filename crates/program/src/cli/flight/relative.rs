@@ -9,6 +9,7 @@ use autoref_flight::adjust::{GroundPoint, RoughPose};
 use autoref_flight::pose::turn;
 use autoref_flight::read::{Photograph, Reconstruction, colmap};
 use autoref_flight::{Camera, Error, Pose, complete, start};
+use autoref_raster::atomic::Part;
 use autoref_raster::fingerprint::{self, Fingerprint};
 
 use super::engine::{Program, no_pair};
@@ -466,6 +467,7 @@ impl Stages<'_> {
         let parts = ["", "-journal", "-wal", "-shm"].map(|end| self.folder.join(format!(".{name}.part{end}")));
         parts.iter().chain([&target, &stamp]).try_for_each(|old| remove(old))?;
         eprintln!("{name} …");
+        let _making = Part::of(&part);
         if let Err(error) = work(&part) {
             parts.iter().for_each(|old| drop(remove(old)));
             return Err(error);
