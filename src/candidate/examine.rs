@@ -497,8 +497,8 @@ fn fit_in_linear_light(scene: &Scene<'_>, local: bool, shape: Shape) -> Option<F
 }
 
 impl Looks<'_> {
-    /// The local-background fit ([`super::local`]): against the ground right beside each pixel, the region grown over its
-    /// whole mark. `None` when the mark is another region's.
+    /// The local-background fit ([`super::local`]): against the ground right beside each pixel, the region grown over
+    /// its whole mark. `None` when the mark is another region's.
     fn look_again(&self, scene: &Scene<'_>, around: Option<Around<'_>>) -> Option<Evidence> {
         let first = scene.plateau();
         let seen = Local::of(scene, first, RING_PX);
