@@ -146,7 +146,7 @@ fn refinement(c: &mut Criterion) {
     let mut group = c.benchmark_group("refinement");
     group.throughput(Throughput::Elements(expected.len() as u64));
     group.bench_function("64 marks in windows of their own", |b| {
-        b.iter(|| black_box(rematch(&source, &detector, &[], &expected).expect("in memory")))
+        b.iter(|| black_box(rematch(&source, &detector, &[], &[], &expected).expect("in memory")))
     });
     group.finish();
 }
