@@ -1,6 +1,7 @@
 //! GCPs in whatever GDAL's vector library (OGR) opens: GeoPackage, Shapefile (also zipped), KML, GPX, GML, DXF, and
 //! tables of a spreadsheet.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use gdal::vector::{
@@ -23,7 +24,13 @@ pub(super) fn parse(path: &Path, wanted: Option<&str>) -> Result<RawList> {
 
 fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     let zipped = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("zip"));
-    let name = if zipped { PathBuf::from("/vsizip/").join(path) } else { path.to_path_buf() };
+    // Put before the path, not joined to it: an absolute one would stand alone.
+    let in_zip = || {
+        let mut name = OsString::from("/vsizip/");
+        name.push(path);
+        PathBuf::from(name)
+    };
+    let name = if zipped { in_zip() } else { path.to_path_buf() };
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("kml")) {
         // GDAL holds the whole text.
         autoref_raster::bounded::read(path, "a list", super::recognise::LARGEST_LIST_BYTES)?;
@@ -177,4 +184,36 @@ fn point(
     let height = geometry_type_has_z(geometry.geometry_type()).then_some(z);
     point.gcp = Gcp { easting: x, northing: y, height: height.or(point.gcp.height), ..point.gcp };
     Ok(point)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ZIP file of one file, stored as it is (PKWARE, APPNOTE.TXT 6.3.3).
+    fn zip_of(name: &str, content: &[u8]) -> Vec<u8> {
+        let crc = content.iter().fold(u32::MAX, |crc, byte| {
+            (0..8).fold(crc ^ u32::from(*byte), |crc, _| (crc >> 1) ^ (0xEDB8_8320 & (crc & 1).wrapping_neg()))
+        });
+        let (size, length) = ((content.len() as u32).to_le_bytes(), (name.len() as u16).to_le_bytes());
+        let facts =
+            [&[20, 0, 0, 0, 0, 0, 0, 0, 0, 0][..], &(!crc).to_le_bytes(), &size, &size, &length, &[0, 0]].concat();
+        let local = [&b"PK\x03\x04"[..], &facts, name.as_bytes(), content].concat();
+        let central = [&b"PK\x01\x02\x14\0"[..], &facts, &[0; 14], name.as_bytes()].concat();
+        let (from, long) = ((local.len() as u32).to_le_bytes(), (central.len() as u32).to_le_bytes());
+        let end = [&b"PK\x05\x06\0\0\0\0\x01\0\x01\0"[..], &long, &from, &[0, 0]].concat();
+        [local, central, end].concat()
+    }
+
+    /// By its whole path, as by a relative one.
+    #[test]
+    fn lists_in_zip_files_are_read() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let zip = folder.path().join("points.zip");
+        let text = r#"{"type":"FeatureCollection","features":[{"type":"Feature","properties":{"name":"P1"},
+            "geometry":{"type":"Point","coordinates":[10.5,63.25]}}]}"#;
+        std::fs::write(&zip, zip_of("points.geojson", text.as_bytes())).expect("writable");
+        assert!(zip.is_absolute());
+        assert_eq!(parse(&zip, None).expect("a list").points.len(), 1);
+    }
 }

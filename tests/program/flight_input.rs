@@ -112,7 +112,7 @@ fn the_page_for_clicks_has_what_is_known_and_its_list_is_read() {
     let click = |more: &[&str]| run(None, &[&["click", text(&toml), "-o", text(&place.at("clicks"))], more].concat());
     expect(&click(&[]), 0, &[]);
     let page = std::fs::read_to_string(place.at("clicks/click.html")).expect("written");
-    assert!(!page.contains("http") && place.at("clicks/frames/4.png").is_file());
+    assert!(!page.contains("http") && place.at("clicks/click_frames/4.png").is_file());
     let start = page.find("id=\"data\">").expect("data") + 10;
     let end = page[start..].find("</script>").expect("its end") + start;
     let known: Value = serde_json::from_str(&page[start..end]).expect("JSON");

@@ -3,7 +3,7 @@
 use super::check::agreement;
 use super::frame::FindOptions;
 use super::interior::{Observation, residual_um, solve};
-use super::types::{Camera, FrameResult, FrameStatus, InteriorModel, MarkStatus};
+use super::types::{Camera, FrameResult, FrameStatus, MarkStatus};
 use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::error::{Error, Result};
 use autoref_review::HAND_VARIANCE_PX2;
@@ -18,7 +18,8 @@ pub fn names(edit: &Edit) -> Option<(&str, &str)> {
 }
 
 /// Applies the edits that name this frame and solves again with the marks that are then OK. Marks that nobody touched
-/// keep what the program said of them. `None` when no edit names the frame.
+/// keep what the program said of them. `options` are those that the frames were looked at with; a frame that was not
+/// solved has their handedness. `None` when no edit names the frame.
 ///
 /// # Errors
 /// [`Error::Usage`] when an edit names a mark that the camera has not, accepts one that has no place, or picks.
@@ -26,7 +27,7 @@ pub fn replay(
     camera: &Camera,
     frame: &FrameResult,
     patch: &PatchFile,
-    model: InteriorModel,
+    options: &FindOptions,
 ) -> Result<Option<FrameResult>> {
     let mine = |e| names(e).filter(|(of, _)| *of == frame.name).map(|(_, mark)| (e, mark));
     let mut edits = patch.edits.iter().filter_map(mine).peekable();
@@ -67,7 +68,7 @@ pub fn replay(
             _ => return Err(Error::usage(format!("{place}: it has no place to accept"), "place it first")),
         }
     }
-    resolve(camera, &mut next, model);
+    resolve(camera, &mut next, options);
     Ok(Some(next))
 }
 
@@ -83,14 +84,13 @@ fn shows(centre: Option<PixelPoint>, was: [f64; 2]) -> std::result::Result<(), S
 }
 
 /// A hand can err too: marks that a review calls good are compared with each other as found ones are.
-fn contradictions(camera: &Camera, frame: &FrameResult, mirrored: Handedness) -> Vec<String> {
+fn contradictions(camera: &Camera, frame: &FrameResult, mirrored: Handedness, options: &FindOptions) -> Vec<String> {
     let film = camera.film_points();
     let used: Vec<usize> = (0..frame.marks.len().min(film.len()))
         .filter(|&k| frame.marks[k].status == MarkStatus::Ok && frame.marks[k].centre.is_some())
         .collect();
     let points: Vec<([f64; 2], PixelPoint)> =
         used.iter().filter_map(|&k| Some((film[k], frame.marks[k].centre?))).collect();
-    let options = FindOptions::default();
     let pixel_um = frame.interior.as_ref().map_or(f64::INFINITY, |interior| interior.pixel_um);
     let tolerance_px = (options.agreement_um / pixel_um).max(options.agreement_px);
     agreement(&points, mirrored, tolerance_px)
@@ -100,7 +100,7 @@ fn contradictions(camera: &Camera, frame: &FrameResult, mirrored: Handedness) ->
         .collect()
 }
 
-fn resolve(camera: &Camera, frame: &mut FrameResult, model: InteriorModel) {
+fn resolve(camera: &Camera, frame: &mut FrameResult, options: &FindOptions) {
     let place = |name: &str| camera.marks.iter().find(|c| c.name == name).and_then(|c| Some([c.x_mm?, c.y_mm?]));
     let used: Vec<Observation> = frame
         .marks
@@ -111,8 +111,9 @@ fn resolve(camera: &Camera, frame: &mut FrameResult, model: InteriorModel) {
             Some(Observation { name: m.mark.clone(), mm: place(&m.mark)?, pixel: m.centre?, covariance_px2 })
         })
         .collect();
-    let mirrored = frame.interior.as_ref().map_or(Handedness::AsIs, |i| i.mirrored);
-    frame.interior = solve(camera, &used, model, mirrored);
+    let unsolved = options.mirrored.unwrap_or(Handedness::AsIs);
+    let mirrored = frame.interior.as_ref().map_or(unsolved, |i| i.mirrored);
+    frame.interior = solve(camera, &used, options.model, mirrored);
     for m in &mut frame.marks {
         m.residual_um = match (&frame.interior, m.centre, place(&m.mark)) {
             (Some(interior), Some(c), Some(mm)) => residual_um(interior, mm, c),
@@ -126,7 +127,7 @@ fn resolve(camera: &Camera, frame: &mut FrameResult, model: InteriorModel) {
         (Some(_), n) if n < camera.marks.len() => FrameStatus::Doubtful { reasons: vec![short] },
         (Some(_), _) => FrameStatus::Ok,
     };
-    let contradictions = contradictions(camera, frame, mirrored);
+    let contradictions = contradictions(camera, frame, mirrored, options);
     if frame.interior.is_some() && !contradictions.is_empty() {
         frame.status = FrameStatus::Doubtful { reasons: contradictions };
     }

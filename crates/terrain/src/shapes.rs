@@ -57,9 +57,14 @@ pub fn meaning(name: &str) -> std::result::Result<Meaning, String> {
     let lower = name.to_lowercase();
     let plain = lower.replace(['-', '_'], " ");
     let words = || plain.split(' ');
-    if lower.starts_with("keep:") || words().any(|word| KEEP.contains(&word)) {
+    // What is said outright goes before what the name itself would mean: `mask:sea ice` is masked.
+    if lower.starts_with("keep:") {
         Ok(Meaning::Keep)
-    } else if lower.starts_with("mask:") || words().any(|word| MASK.contains(&word)) {
+    } else if lower.starts_with("mask:") {
+        Ok(Meaning::Mask)
+    } else if words().any(|word| KEEP.contains(&word)) {
+        Ok(Meaning::Keep)
+    } else if words().any(|word| MASK.contains(&word)) {
         Ok(Meaning::Mask)
     } else if lower == "unknown" {
         Ok(Meaning::Unknown)
@@ -302,6 +307,20 @@ pub fn parse_lesson(text: &str) -> std::result::Result<Lesson, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_said_outright_goes_before_the_name() {
+        for (class, is) in [
+            ("mask:sea-ice", Meaning::Mask),
+            ("mask:dark_rock", Meaning::Mask),
+            ("MASK:bare ground", Meaning::Mask),
+            ("keep:snow field", Meaning::Keep),
+            ("glacier ice", Meaning::Keep),
+            ("low_cloud", Meaning::Mask),
+        ] {
+            assert_eq!(meaning(class), Ok(is), "{class}");
+        }
+    }
 
     #[test]
     fn samples_are_read_and_faults_named() {

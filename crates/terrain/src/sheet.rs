@@ -116,7 +116,6 @@ fn entry(report: &Report, picture: Option<String>, scatter: Option<String>) -> S
         100.0 * report.classes.mask,
         100.0 * report.classes.empty,
         100.0 * report.unsure_share,
-        frame = escaped(&frame),
     )
 }
 

@@ -255,7 +255,13 @@ impl GrossErrors<'_> {
             self.gcps.iter().filter(|g| large(g.northing)).count(),
         );
         let n = self.gcps.len();
+        // In most systems northings are the larger numbers, but not in all: the area of use of a known one decides.
+        let fits_in = |swap: bool| {
+            let at = |g: &Gcp| if swap { (g.northing, g.easting) } else { (g.easting, g.northing) };
+            self.gcps.iter().map(at).all(|(e, n)| self.crs.and_then(|crs| crs.covers(e, n)) == Some(true))
+        };
         let (swapped, sure) = match (eastings, northings, self.known) {
+            _ if fits_in(true) != fits_in(false) => (fits_in(true), true),
             (e, 0, _) if e == n => (true, true),
             (0, m, _) if m == n => (false, true),
             (_, _, Some(known)) => {

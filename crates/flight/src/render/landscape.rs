@@ -112,6 +112,9 @@ impl Landscape {
         if let Some(colour) = self.cover.as_ref().and_then(|cover| cover.at(e, n, width_m)) {
             return colour;
         }
+        // From the model's corner: singles of coordinates of a map are coarser than short waves.
+        let [west, north] = self.surface.cells().2;
+        let (e, n) = (e - west.round(), n - north.round());
         let noise = |purpose: u64, wave: f64| {
             f64::from(value_noise(self.seed ^ (purpose << 32), (e / wave) as f32, (n / wave) as f32)) - 0.5
         };

@@ -1,6 +1,6 @@
 //! `autoref-stream fiducials`: fiducial marks and interior orientation of scanned film.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, bail};
@@ -171,7 +171,7 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
     // What can be refused is refused before the first frame.
     args.outputs.resampling.options()?;
     if let Some(path) = &args.outputs.patch {
-        film_outputs::patch(path)?;
+        film_outputs::patch_of(path, &scans)?;
     }
     if let Some(n) = args.threads {
         if n == 0 {
@@ -197,7 +197,7 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
     if outputs.exports || outputs.resampling.resample || outputs.patch.is_some() {
         let read = |scan: &PathBuf| roll::read_frame(&roll::frame_json(&args.output, scan));
         let mut frames = scans.iter().map(read).collect::<Result<Vec<_>, _>>()?;
-        super::film_outputs::write_outputs(&args.output, &camera, &mut frames, options.model, outputs)?;
+        super::film_outputs::write_outputs(&args.output, &camera, &mut frames, &options, outputs)?;
         reviewed = outputs.patch.as_ref().map(|_| Verdicts::of(&frames));
     }
     let verdicts = reviewed.unwrap_or(Verdicts { ok: summary.ok, doubtful: summary.doubtful, failed: summary.failed });
@@ -241,7 +241,14 @@ fn line(frame: &FrameResult) -> String {
     }
 }
 
-/// The files, folders replaced by the images in them, in order of name.
+/// Was it written beside the scans by an earlier run?
+fn is_output(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let of_scan = |stem: &str| path.with_file_name(format!("{stem}.fiducials.json")).is_file();
+    [".resampled.tif", ".mask.tif"].iter().filter_map(|end| name.strip_suffix(end)).any(of_scan)
+}
+
+/// The files, folders replaced by the images in them that no run wrote, in order of name.
 fn scans(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     let mut all = vec![];
     for path in paths {
@@ -254,6 +261,7 @@ fn scans(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
         let mut inside: Vec<PathBuf> = list
             .filter_map(|e| e.ok().map(|e| e.path()))
             .filter(|p| p.file_name().is_some_and(|n| !n.to_string_lossy().starts_with('.')))
+            .filter(|p| !is_output(p))
             .filter(|p| p.extension().and_then(|e| e.to_str()).is_some_and(|e| known.contains(&&*e.to_lowercase())))
             .collect();
         if inside.is_empty() {

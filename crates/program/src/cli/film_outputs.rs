@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use autoref_film::tables::PixelOrigin;
-use autoref_film::{Camera, FrameResult, InteriorModel, contact_sheet, micmac, replay, tables};
+use autoref_film::{Camera, FindOptions, FrameResult, InteriorModel, contact_sheet, micmac, replay, tables};
 use autoref_raster::atomic;
+use autoref_raster::coords::Handedness;
 use autoref_review::{PatchFile, Subject};
 use clap::ValueEnum;
 
@@ -31,19 +32,19 @@ pub enum PixelsFrom {
     Centre,
 }
 
-/// Applies the patch to `frames`, then writes what was asked for into `dir`.
+/// Applies the patch to `frames`, which were looked at with `options`, then writes what was asked for into `dir`.
 pub fn write_outputs(
     dir: &Path,
     camera: &Camera,
     frames: &mut [FrameResult],
-    model: InteriorModel,
+    options: &FindOptions,
     args: &FilmOutputArgs,
 ) -> anyhow::Result<()> {
     if let Some(path) = &args.patch {
-        replay(dir, camera, frames, model, path)?;
+        replay(dir, camera, frames, options, path)?;
     }
     if args.exports {
-        export(dir, camera, frames, model, args)?;
+        export(dir, camera, frames, options.model, args)?;
     }
     if args.resampling.resample {
         super::film_resample::resample_roll(dir, camera, frames, &args.resampling)?;
@@ -51,28 +52,40 @@ pub fn write_outputs(
     Ok(())
 }
 
-/// What a review of the frames has saved.
+/// What a review of these scans has saved.
 ///
 /// # Errors
-/// When it cannot be read, or is of another review.
-pub fn patch(path: &Path) -> anyhow::Result<PatchFile> {
-    Ok(PatchFile::read(path, Subject::Fiducials)?)
+/// When it cannot be read, is of another review, or names a frame that is none of them.
+pub fn patch_of(path: &Path, scans: &[PathBuf]) -> anyhow::Result<PatchFile> {
+    let edits = PatchFile::read(path, Subject::Fiducials)?;
+    let is_there =
+        |name: &str| scans.iter().any(|scan| scan.file_stem().is_some_and(|stem| stem.to_string_lossy() == name));
+    if let Some((frame, _)) = edits.edits.iter().filter_map(replay::names).find(|(name, _)| !is_there(name)) {
+        bail!("{}: frame {frame} is not in this roll", path.display());
+    }
+    Ok(edits)
+}
+
+/// Which side of the film most frames of a roll show; `None` where none was solved.
+fn side_of_roll(frames: &[FrameResult]) -> Option<Handedness> {
+    let solved: Vec<Handedness> = frames.iter().filter_map(|f| Some(f.interior.as_ref()?.mirrored)).collect();
+    let mirrored = solved.iter().filter(|side| side.is_mirrored()).count();
+    (!solved.is_empty()).then(|| Handedness::from(2 * mirrored > solved.len()))
 }
 
 fn replay(
     dir: &Path,
     camera: &Camera,
     frames: &mut [FrameResult],
-    model: InteriorModel,
+    options: &FindOptions,
     path: &Path,
 ) -> anyhow::Result<()> {
-    let edits = patch(path)?;
-    let mut named = edits.edits.iter().filter_map(replay::names);
-    if let Some((frame, _)) = named.find(|(name, _)| frames.iter().all(|f| f.name != *name)) {
-        bail!("{}: frame {frame} is not in this roll", path.display());
-    }
+    let scans: Vec<PathBuf> = frames.iter().map(|frame| frame.path.clone()).collect();
+    let edits = patch_of(path, &scans)?;
+    // The scans of a roll lie alike: a frame that could not be solved does as the others.
+    let options = FindOptions { mirrored: options.mirrored.or(side_of_roll(frames)), ..options.clone() };
     for frame in frames.iter_mut() {
-        if let Some(next) = replay::replay(camera, frame, &edits, model)? {
+        if let Some(next) = replay::replay(camera, frame, &edits, &options)? {
             let json = serde_json::to_vec_pretty(&next).context("a result is plain data")?;
             atomic::write(&dir.join(format!("{}.reviewed.json", next.name)), &json)?;
             *frame = next;

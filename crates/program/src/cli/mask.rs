@@ -291,7 +291,10 @@ fn is_output(path: &Path, all: &[PathBuf]) -> bool {
     let ends = ["_Masq.tif", "_Prob.tif", "_Class.tif", "_Entropy.tif", "_Distance.tif"];
     let of_frame = |stem: &str| path.with_file_name(format!("{stem}_Masq.json")).is_file();
     let for_colmap = |frame: &str| all.iter().any(|other| other.file_name().is_some_and(|name| name == frame));
-    ends.iter().filter_map(|end| name.strip_suffix(end)).any(of_frame)
+    // `fiducials --resample` writes a mask beside each frame.
+    let of_resampled = |stem: &str| path.with_file_name(format!("{stem}.resampled.tif")).is_file();
+    name.strip_suffix(".mask.tif").is_some_and(of_resampled)
+        || ends.iter().filter_map(|end| name.strip_suffix(end)).any(of_frame)
         || name.strip_suffix(".png").is_some_and(for_colmap)
 }
 
@@ -354,7 +357,7 @@ fn tell_error(args: &MaskArgs, bar: &ProgressBar, frame: &Path, error: &Error) -
     let text = error.to_string();
     let named = if text.contains(&*frame.to_string_lossy()) { text } else { format!("{}: {text}", frame.display()) };
     if args.json {
-        let line = serde_json::json!({ "frame": frame, "status": "error", "error": named });
+        let line = serde_json::json!({ "frame": frame.to_string_lossy(), "status": "error", "error": named });
         println!("{line}");
     }
     bar.suspend(|| eprintln!("autoref-stream: {named}"));

@@ -190,7 +190,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
             "candidate": o.anchors.0, "gcp": name(o.anchors.1), "others_that_agree": o.pairs.len(),
         })),
         "thresholds": thresholds,
-        "files_written": args.output.iter().filter(|_| overlay.is_some()).collect::<Vec<_>>(),
+        "files_written": args.output.iter().filter(|_| overlay.is_some()).map(|path| path.to_string_lossy()).collect::<Vec<_>>(),
     });
     if args.json {
         println!("{}", serde_json::to_string_pretty(&document)?);

@@ -89,15 +89,17 @@ pub fn run(args: &PlanArgs) -> anyhow::Result<ExitCode> {
         tolerance_m: args.tolerance,
         noise_m: args.noise,
     };
+    // What can be refused is refused before the search.
+    if matches!(args.mark_size, Some(MarkSize::Metres(..))) && args.gsd.is_none() {
+        bail!("--mark-size in metres says nothing without --gsd");
+    }
+    let image = args.image.as_ref().map(|image| raster::open(image, ReaderChoice::Auto, 0, 64 << 20)).transpose()?;
     let busy = Busy::new("trying every way of laying the pattern on itself", args.quiet || args.json);
     let mut plan = planning::plan(&points, &request);
     drop(busy);
-    plan.advice.extend(mark_advice(args, &plan)?);
+    plan.advice.extend(mark_advice(args, &plan));
     let busy = args.image.as_ref().map(|_| Busy::new("looking at the ground's colours", args.quiet || args.json));
-    let paints = match &args.image {
-        None => Vec::new(),
-        Some(image) => planning::rank_paints(raster::open(image, ReaderChoice::Auto, 0, 64 << 20)?.as_ref())?,
-    };
+    let paints = image.map_or(Ok(Vec::new()), |image| planning::rank_paints(image.as_ref()))?;
     drop(busy);
     if args.json {
         let document = serde_json::json!({
@@ -115,19 +117,18 @@ pub fn run(args: &PlanArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// Whether the planned marks are large enough.
-fn mark_advice(args: &PlanArgs, plan: &Plan) -> anyhow::Result<Option<String>> {
-    let Some(size) = args.mark_size else { return Ok(None) };
+fn mark_advice(args: &PlanArgs, plan: &Plan) -> Option<String> {
+    let size = args.mark_size?;
     // A single size was widened by a quarter on both sides: what is painted is the middle.
     let middle = |low: f64, high: f64| (low + high) / 2.0;
     let side_px = match (size, plan.mark) {
         (MarkSize::Pixels(low, high), _) => middle(low, high),
-        (MarkSize::Metres(low, high), Some(mark)) => middle(low, high) / mark.gsd_m,
-        (MarkSize::Metres(..), None) => bail!("--mark-size in metres says nothing without --gsd"),
+        (MarkSize::Metres(low, high), mark) => middle(low, high) / mark?.gsd_m,
     };
-    Ok((side_px < planning::SMALLEST_MARK_PX).then(|| {
+    (side_px < planning::SMALLEST_MARK_PX).then(|| {
         let metres = plan.mark.map_or(String::new(), |m| format!(" = {:.2} m", m.smallest_m));
         format!("marks of {side_px:.1} px are too small: paint at least {} px{metres}", planning::SMALLEST_MARK_PX)
-    }))
+    })
 }
 
 fn words(plan: &Plan, paints: &[PaintRank], notes: &[String]) -> String {

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::{Context, bail};
+use autoref_raster::atomic::{self, Existing};
 use autoref_raster::coords::MapPoint;
 use autoref_raster::crs::Crs;
 use autoref_synth::{
@@ -229,8 +230,11 @@ pub fn run(args: SynthArgs) -> anyhow::Result<()> {
     } else if args.georeferenced && args.gcps.is_some() && !args.quiet {
         eprintln!("the picture is georeferenced without a CRS; --epsg names that of the list");
     }
-    if let Some(list) = args.write_gcps.as_deref().filter(|list| list.exists() && !args.overwrite) {
-        bail!("{}: exists already; use --overwrite or another name", list.display());
+    if let Some(list) = args.write_gcps.as_deref() {
+        atomic::check_outputs(&[list], Existing::of_flag(args.overwrite))?;
+        if [args.output.as_path(), &autoref_synth::truth_path(&args.output)].contains(&list) {
+            bail!("--write-gcps {}: the picture's own file has this name; give another", list.display());
+        }
     }
     // Hidden where standard error is no terminal.
     let bar = if args.quiet { ProgressBar::hidden() } else { ProgressBar::new(0) };

@@ -57,11 +57,13 @@ pub fn run(args: &SynthFilmArgs) -> anyhow::Result<()> {
     let ground =
         if args.photos.is_empty() { FilmGround::Noise } else { FilmGround::open(&photographs(&args.photos)?)? };
     let _folder = OutputFolder::make(&args.output)?;
-    for seed in args.seed..args.seed.saturating_add(args.frames) {
-        let path = args.output.join(format!("{}-{seed}.tif", camera.name));
-        if path.exists() && !args.overwrite {
-            bail!("{}: exists already; use --overwrite or another folder", path.display());
-        }
+    let seeds = || args.seed..args.seed.saturating_add(args.frames);
+    let path_of = |seed: u64| args.output.join(format!("{}-{seed}.tif", camera.name));
+    if let Some(path) = seeds().map(path_of).find(|path| path.exists() && !args.overwrite) {
+        bail!("{}: exists already; use --overwrite or another folder", path.display());
+    }
+    for seed in seeds() {
+        let path = path_of(seed);
         let mut spec = if args.archive {
             FilmSpec::archive(&camera, args.pixel_um, seed)
         } else {

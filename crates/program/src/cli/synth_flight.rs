@@ -168,11 +168,15 @@ pub fn run(args: &Args) -> Result<()> {
         .with_context(|| format!("{}: no flight was written", args.output.display()))?;
     let folder = args.output.join(if film.is_some() { "scans" } else { "frames" });
     let _folder = OutputFolder::make(&folder)?;
+    let frame_path = |frame: &FrameRenderer<'_>| folder.join(format!("{}.tif", frame.exposure.name));
+    let beside = files::BESIDE.iter().map(|name| args.output.join(name));
+    let model = args.dem.is_none().then(|| args.output.join(files::MODEL));
+    let mut outputs = frames.iter().map(frame_path).chain(beside).chain(model);
+    if let Some(path) = outputs.find(|path| path.exists() && !args.overwrite) {
+        bail!("{}: exists already; use --overwrite or another folder", path.display());
+    }
     for frame in &frames {
-        let path = folder.join(format!("{}.tif", frame.exposure.name));
-        if path.exists() && !args.overwrite {
-            bail!("{}: exists already; use --overwrite or another folder", path.display());
-        }
+        let path = frame_path(frame);
         match &film {
             Some(film) => film.write(frame, &path)?,
             None => files::write_frame(frame, &path)?,
@@ -195,7 +199,7 @@ pub fn run(args: &Args) -> Result<()> {
         println!("{}", path.display());
     }
     if args.dem.is_none() {
-        let path = args.output.join("dem.tif");
+        let path = args.output.join(files::MODEL);
         files::write_model(&landscape, &path)?;
         println!("{}", path.display());
     }

@@ -36,6 +36,9 @@ pub struct ClickArgs {
 /// Where each frame is thought to stand, in the world's frame, and its camera.
 type Thought = Vec<Option<(Pose, Camera)>>;
 
+/// The folder of the frames as the page shows them.
+const SHOWN: &str = "click_frames";
+
 pub fn click(args: &ClickArgs) -> Result<ExitCode> {
     let page = args.output.join("click.html");
     if args.output.is_dir() {
@@ -60,14 +63,15 @@ pub fn click(args: &ClickArgs) -> Result<ExitCode> {
         Some(path) => of_solution(path, &names, &world)?,
         None => of_table(&project, &names, &rows, &world, size_px),
     };
-    let shown = args.output.join("frames");
+    // Not `frames`: a project in this folder would take the pictures for its own.
+    let shown = args.output.join(SHOWN);
     std::fs::create_dir_all(&shown).map_err(|e| Error::io(&shown, "create", e))?;
     for (i, name) in names.iter().enumerate() {
         views::Grey::plain(&folder, name, LARGEST_PX)?.write(&shown.join(format!("{i}.png")))?;
     }
     let data = json!({
         "frames": names.iter().enumerate().map(|(i, name)| json!({
-            "name": name, "src": format!("frames/{i}.png"), "width": size_px[0], "height": size_px[1],
+            "name": name, "src": format!("{SHOWN}/{i}.png"), "width": size_px[0], "height": size_px[1],
         })).collect::<Vec<Value>>(),
         "points": control.points.iter().map(|p| json!({"name": p.name})).collect::<Vec<Value>>(),
         "marks": marks(&control, &names, &thought, &world),

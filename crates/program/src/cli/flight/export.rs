@@ -8,7 +8,7 @@ use autoref_flight::micmac_files::{self, FilmCamera, Masks, SurveyedPoint, TextF
 use autoref_raster::atomic::{self, Existing};
 use autoref_raster::output_folder::OutputFolder;
 
-use super::project::{OrderedFrames, Project, ordered_frames, read_project};
+use super::project::{OrderedFrames, Project, ordered_frames, point_args, read_project};
 use super::runs;
 use super::{check_output, image_size, lists, views};
 
@@ -38,7 +38,8 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
     }
     let (project, base) = read_project(&args.project)?;
     let mut flight = ordered_frames(&project, &base)?;
-    flight.rows_on_map(&project, &base, None)?;
+    let list = point_args(&project, &base).map(|points| points.load(None)).transpose()?;
+    flight.rows_on_map(&project, &base, list.as_ref())?;
     let files = files(&args.project, (&project, &base), &flight, args.pixel_mm)?;
     let _folder = OutputFolder::make(&args.output)?;
     let paths: Vec<PathBuf> = files.iter().map(|(name, _)| args.output.join(name)).collect();

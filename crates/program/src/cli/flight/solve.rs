@@ -108,6 +108,9 @@ pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
 
 impl<'a> Ready<'a> {
     fn of(args: &'a SolveArgs) -> Result<Self> {
+        if args.until == Stage::Ties && args.engine.of_colmap().is_none() {
+            bail!("MicMac makes ties and relative orientation in one run; --until relative");
+        }
         let (project, base) = read_project(&args.project)?;
         let points = point_args(&project, &base);
         let mut control = match &points {
@@ -197,9 +200,6 @@ impl<'a> Ready<'a> {
                 ByColmap::Oriented(oriented, ties) => (refined(oriented, folder)?, ties),
             },
             None => {
-                if self.args.until == Stage::Ties {
-                    bail!("MicMac makes ties and relative orientation in one run; --until relative");
-                }
                 let model = micmac::oriented(&self.args.project, (project, &self.base), &self.frames, &self.out)?;
                 (Oriented::new(model, MadeBy::Micmac), None)
             }

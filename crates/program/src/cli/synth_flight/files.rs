@@ -116,6 +116,11 @@ pub fn read_cover(path: &Path, unit_m: f64) -> Result<Cover> {
     Ok(Cover { data, width, height, bands, to_pixel, gsd_m: transform.scale() * unit_m })
 }
 
+/// Names of what is written beside the frames: the rough table, the points, the project, the truth.
+pub const BESIDE: [&str; 4] = ["table.csv", "gcps.txt", "FLIGHT.toml", "truth.json"];
+/// And of the elevation model of a drawn landscape.
+pub const MODEL: &str = "dem.tif";
+
 /// What is written beside the frames.
 pub struct Flight<'a> {
     pub camera: &'a Camera,
@@ -136,12 +141,7 @@ impl Flight<'_> {
     /// Writes `table.csv`, `gcps.txt`, `FLIGHT.toml` and `truth.json`; all of them or none.
     pub fn write(&self, folder: &Path) -> Result<Vec<PathBuf>> {
         let mut transaction = atomic::Transaction::new();
-        for (name, text) in [
-            ("table.csv", self.table()),
-            ("gcps.txt", self.list()),
-            ("FLIGHT.toml", self.project()),
-            ("truth.json", self.truth()),
-        ] {
+        for (name, text) in BESIDE.into_iter().zip([self.table(), self.list(), self.project(), self.truth()]) {
             transaction.stage_bytes(&folder.join(name), text.as_bytes())?;
         }
         let paths = transaction.paths();
