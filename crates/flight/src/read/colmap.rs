@@ -463,7 +463,7 @@ mod tests {
         put("images.txt", "  1 1 0 0 0 0 0 0  1   left wing.jpg\n\n2\t1\t0\t0\t0\t1\t0\t0\t1\tb.jpg \n\n");
         let model = read(folder.path()).expect("a model");
         let names: Vec<&str> = model.photographs.iter().map(|p| p.name.as_str()).collect();
-        assert_eq!(names, ["left wing.jpg", "b.jpg"]);
+        assert_eq!(names, ["b.jpg", "left wing.jpg"], "by name");
     }
 
     #[test]

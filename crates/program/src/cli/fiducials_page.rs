@@ -82,7 +82,7 @@ pub fn write(
     existing: Existing,
 ) -> anyhow::Result<PathBuf> {
     let page = output.join("click.html");
-    super::flight::check_output(Some(&page), existing)?;
+    super::flight::check_output_in(output, &page, existing)?;
     let folder = scan.parent().unwrap_or(Path::new(""));
     let name = scan.file_name().with_context(|| format!("{}: is no file", scan.display()))?.to_string_lossy();
     let size_px = super::flight::image_size(scan, None)?;

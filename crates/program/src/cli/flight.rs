@@ -391,6 +391,11 @@ pub(super) fn check_output(output: Option<&Path>, existing: Existing) -> Result<
     }
 }
 
+/// The same of a file in a folder that may still have to be made.
+pub(super) fn check_output_in(folder: &Path, path: &Path, existing: Existing) -> Result<()> {
+    if folder.is_dir() { check_output(Some(path), existing) } else { Ok(()) }
+}
+
 fn finish(document: &serde_json::Value, output: Option<&Path>, print: bool) -> Result<()> {
     let text = serde_json::to_string_pretty(document)? + "\n";
     if let Some(path) = output {

@@ -10,7 +10,7 @@ use autoref_raster::atomic::{self, Existing};
 use serde_json::{Value, json};
 
 use super::project::{OrderedFrames, Project, ordered_frames, point_args, read_project};
-use super::{check_output, frames, image_size, lists, runs, views};
+use super::{check_output_in, frames, image_size, lists, runs, views};
 use autoref_raster::markup::escaped;
 
 const PAGE: &str = include_str!("click.html");
@@ -41,9 +41,7 @@ const SHOWN: &str = "click_frames";
 
 pub fn click(args: &ClickArgs) -> Result<ExitCode> {
     let page = args.output.join("click.html");
-    if args.output.is_dir() {
-        check_output(Some(&page), Existing::of_flag(args.overwrite))?;
-    }
+    check_output_in(&args.output, &page, Existing::of_flag(args.overwrite))?;
     let (project, base) = read_project(&args.project)?;
     let mut frames = ordered_frames(&project, &base)?;
     if args.cameras.is_none() {
