@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use autoref_flight::Error;
 use autoref_flight::read::tables::CameraRow;
-use autoref_raster::cells::quoted;
 use autoref_raster::crs::Crs;
 use autoref_raster::jpeg_end;
 use gdal::raster::GdalDataType;
@@ -315,7 +314,7 @@ pub fn table(names: &[String], told: &[Told], crs: Option<Crs>, deviations: Devi
         let [pitch, roll] =
             [told.angles_deg[1], told.angles_deg[2]].map(|a| a.map_or(String::new(), |a| a.to_string()));
         let [x, y, z] = row.xyz;
-        text += &format!("{},{x:.3},{y:.3},{z:.3},{yaw},{pitch},{roll}", quoted(name));
+        text += &format!("\"{}\",{x:.3},{y:.3},{z:.3},{yaw},{pitch},{roll}", name.replace('"', "\"\""));
         text += &match (fixed, of_receiver(told)) {
             (0, _) => String::new(),
             (_, Some([plan, up])) => format!(",{plan},{up}"),
