@@ -1,7 +1,9 @@
 //! Places that somebody pointed at, made exact: marks that look alike are laid on each other, and where what they have
 //! in common is its own image turned by half a turn, edge on edge, its centre is the reference point, where clicks may
-//! have missed it. Of other marks it is the mean of the clicks. What neither says stays as it was pointed at.
+//! have missed it; where two straight edges meet as near as clicks scatter, their corner is. Of other marks it is the
+//! mean of the clicks. What none of these says stays as it was pointed at.
 
+mod corner;
 mod field;
 
 use super::learn::Grid;
@@ -15,6 +17,9 @@ const FAINT: f64 = 0.5;
 /// deviations of that mean.
 const NEAR_CLICKS: f64 = 3.0;
 const NEAR_SIGMAS: f64 = 3.0;
+/// A corner is no further from the mean of clicks than so many standard deviations of that mean allow and this, values
+/// of the grid: solid shapes have corners that nobody meant.
+const NEAR_CORNER: f64 = 0.5;
 /// No reference point is known better, values of the grid.
 const LEAST_SIGMA: f64 = 0.15;
 /// A window about a click, values row by row.
@@ -67,8 +72,8 @@ pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
         let squares: f64 = moved.iter().flatten().map(|s| s[0] * s[0] + s[1] * s[1]).sum();
         let n = count(&moved) as f64;
         let of_mean = (squares / (2.0 * (n - 1.0)) / n).sqrt();
-        let symmetric = field.symmetric_centre(&stack).map(|centre| (centre, field.spread(windows, &moved, centre)));
-        let (centre, sigma) = settled(symmetric, of_mean);
+        let Settled { shift: centre, sigma, .. } =
+            settled(&field, &stack, of_mean, |tell, centre| field.spread(windows, &moved, centre, tell));
         shared_sigma = sigma;
         let edges = field.edges(&stack);
         for ((window, shift), found) in windows.iter().zip(&mut moved).zip(&mut found) {
@@ -93,22 +98,46 @@ pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
             return Told { centre, sigma: shared_sigma };
         }
         // Alone there is one click, and it is its own mean.
-        match (field.symmetric_centre(window), settled(field.symmetric_centre(window).map(|c| (c, 0.0)), click_sigma)) {
-            (Some(own), (shift, sigma)) if own == shift => Told { centre: Centre::Own(shift), sigma },
-            (_, (_, sigma)) => Told { centre, sigma },
-        }
+        let alone = settled(&field, window, click_sigma, |_, _| 0.0);
+        let centre = if alone.is_told { Centre::Own(alone.shift) } else { centre };
+        Told { centre, sigma: alone.sigma }
     };
     windows.iter().zip(found).map(told).collect()
 }
 
-/// The reference point of marks from the mean of their clicks, and its standard deviation: their centre of symmetry,
-/// with its own, where it lies as near as the mean's allows. Further away it is another point, or the clicks are all
-/// wrong: then the mean stays, no better than both are apart.
-fn settled(symmetric: Option<([f64; 2], f64)>, of_mean: f64) -> ([f64; 2], f64) {
-    let Some((centre, sigma)) = symmetric else { return ([0.0; 2], of_mean.max(LEAST_SIGMA)) };
-    let away = centre[0].hypot(centre[1]);
-    let allowed = NEAR_CLICKS.max(NEAR_SIGMAS * 2f64.sqrt() * of_mean);
-    if away <= allowed { (centre, sigma.max(LEAST_SIGMA)) } else { ([0.0; 2], of_mean.max(away / 2f64.sqrt())) }
+/// A reference point from the mean of its clicks, values of the grid.
+struct Settled {
+    shift: [f64; 2],
+    sigma: f64,
+    /// Whether what is seen tells it, not the clicks alone.
+    is_told: bool,
+}
+
+/// How what is seen in a window tells its reference point.
+type Tell<'a> = &'a dyn Fn(&Values) -> Option<[f64; 2]>;
+
+/// The reference point of marks from the mean of their clicks, and its standard deviation: their centre of symmetry or
+/// else the corner of two edges, with what `spread` says of it, where it lies as near as the mean's deviation allows.
+/// Further away it is another point, or the clicks are all wrong: then the mean stays, and where that is a centre of
+/// symmetry, no better than both are apart.
+fn settled(field: &Field, window: &Values, of_mean: f64, spread: impl Fn(Tell, [f64; 2]) -> f64) -> Settled {
+    let by_clicks = NEAR_SIGMAS * 2f64.sqrt() * of_mean;
+    let told = |tell: Tell, centre: [f64; 2]| Settled {
+        shift: centre,
+        sigma: spread(tell, centre).max(LEAST_SIGMA),
+        is_told: true,
+    };
+    let symmetric: Tell = &|window| field.symmetric_centre(window);
+    let centre = symmetric(window);
+    if let Some(centre) = centre.filter(|c| c[0].hypot(c[1]) <= NEAR_CLICKS.max(by_clicks)) {
+        return told(symmetric, centre);
+    }
+    let corner: Tell = &|window| field.corner(window, NEAR_CORNER + by_clicks);
+    if let Some(centre) = corner(window) {
+        return told(corner, centre);
+    }
+    let away = centre.map_or(0.0, |c| c[0].hypot(c[1]));
+    Settled { shift: [0.0; 2], sigma: of_mean.max(away / 2f64.sqrt()).max(LEAST_SIGMA), is_told: false }
 }
 
 /// Standard deviation of a click along one axis, by those that are known to be off; 0 where none is.

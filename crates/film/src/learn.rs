@@ -106,9 +106,9 @@ fn learn_visiting(
         }
         for number in usize::from(shown.is_some())..count {
             visit(number, &mut |scan| {
-                let frame = finder.find(scan, options)?;
-                let Some(pose) = pose_of(&finder.camera, &frame) else {
-                    tracing::warn!("{}: the marks were not found in it; not learned from", frame.path.display());
+                let Some((frame, pose)) = examine(&finder, scan, shown.as_ref(), options)? else {
+                    let path = &scan.info().path;
+                    tracing::warn!("{}: the marks were not found in it; not learned from", path.display());
                     return Ok(());
                 };
                 let grid = *grid.get_or_insert_with(|| Grid::new(&pose, window_mm));
@@ -141,6 +141,26 @@ fn learn_visiting(
         }
     }
     Ok(templates)
+}
+
+/// Finds the marks in a further frame, first as it lay when they were pointed at: marks in a square, which may all look
+/// alike, do not tell its quarters, and one scanner's frames lie alike. `None` when they are not found.
+fn examine(
+    finder: &Finder,
+    scan: &dyn RasterSource,
+    shown: Option<&Shown>,
+    options: &FindOptions,
+) -> Result<Option<(FrameResult, Pose)>> {
+    let quarter = |shown: &Shown| (90.0 * (shown.pose.turn_deg() / 90.0).round()).rem_euclid(360.0);
+    let alike = shown.filter(|_| options.turn_deg.is_none());
+    let ways = alike.map(|s| FindOptions { turn_deg: Some(quarter(s)), ..options.clone() });
+    for options in ways.iter().chain([options]) {
+        let frame = finder.find(scan, options)?;
+        if let Some(pose) = pose_of(&finder.camera, &frame) {
+            return Ok(Some((frame, pose)));
+        }
+    }
+    Ok(None)
 }
 
 /// Adds the windows of a frame's marks; of those whose place was guessed, only what agrees with the interior

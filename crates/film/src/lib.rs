@@ -22,6 +22,7 @@ mod correlate;
 pub mod drawn;
 pub mod frame;
 pub mod interior;
+mod judge;
 pub mod learn;
 pub mod micmac;
 mod naming;

@@ -140,13 +140,13 @@ impl Shown {
         let unsure: Vec<&ShownMark> = self
             .windows
             .iter()
-            .filter(|m| m.told.centre != Centre::AsPointed && m.told.sigma > super::frame::GOOD_REFERENCE_PX)
+            .filter(|m| m.told.centre != Centre::AsPointed && m.told.sigma > super::judge::GOOD_REFERENCE_PX)
             .collect();
         if let Some(first) = unsure.first() {
             let names: Vec<&str> = unsure.iter().map(|m| camera.marks[m.k].name.as_str()).collect();
             tracing::warn!(
-                "{}: their reference point is the mean of what was pointed at, good to {:.1} px, since no centre of symmetry lies \
-                 near it, and frames will be doubtful; point at them again, exactly",
+                "{}: their reference point is the mean of what was pointed at, good to {:.1} px, since neither a centre of \
+                 symmetry nor a corner lies near it, and frames will be doubtful; point at them again, exactly",
                 names.join(", "),
                 first.told.sigma
             );

@@ -46,9 +46,9 @@ pub(super) struct Alike {
 
 /// The values about the click that are compared.
 pub(super) struct Field {
-    width: i64,
-    height: i64,
-    radius: i64,
+    pub(super) width: i64,
+    pub(super) height: i64,
+    pub(super) radius: i64,
     reach: i64,
     /// Half the side of the box that tells edges from terrain.
     edge: usize,
@@ -171,9 +171,15 @@ impl Field {
     }
 
     /// Standard deviation of a centre that all windows share, by what each tells alone.
-    pub(super) fn spread(&self, windows: &[&Values], moved: &[Option<[f64; 2]>], centre: [f64; 2]) -> f64 {
+    pub(super) fn spread(
+        &self,
+        windows: &[&Values],
+        moved: &[Option<[f64; 2]>],
+        centre: [f64; 2],
+        tell: impl Fn(&Values) -> Option<[f64; 2]>,
+    ) -> f64 {
         let alone = |(window, shift): (&&Values, &Option<[f64; 2]>)| {
-            let (own, shift) = (self.symmetric_centre(window)?, (*shift)?);
+            let (own, shift) = (tell(window)?, (*shift)?);
             Some((own[0] - shift[0] - centre[0]).powi(2) + (own[1] - shift[1] - centre[1]).powi(2))
         };
         let squares: Vec<f64> = windows.iter().zip(moved).filter_map(alone).collect();
@@ -181,23 +187,36 @@ impl Field {
         if n < 2.0 { LEAST_SIGMA } else { (squares.iter().sum::<f64>() / (2.0 * n) / n).sqrt() }
     }
 
-    /// How steep the smoothed window is, across and down; `None` at its rim.
-    fn slopes(&self, window: &Values) -> Vec<Option<[f64; 2]>> {
-        let smooth = |x: i64, y: i64| -> Option<f64> {
+    /// How steep the smoothed window is, across and down; `None` at its rim. Both are smoothed alike along and across
+    /// their direction, so that slanting edges are seen to slant as much as they do.
+    pub(super) fn slopes(&self, window: &Values) -> Vec<Option<[f64; 2]>> {
+        const BINOMIAL: [(i64, f64); 3] = [(-1, 0.25), (0, 0.5), (1, 0.25)];
+        // As wide as the difference of values two apart is along it.
+        const ACROSS: [(i64, f64); 3] = [(-1, 1.0 / 6.0), (0, 4.0 / 6.0), (1, 1.0 / 6.0)];
+        let places = || (0..self.width * self.height).map(|k| (k % self.width, k / self.width));
+        let smooth = |(x, y): (i64, i64)| -> Option<f64> {
             let mut sum = 0.0;
-            for (dy, wy) in [(-1, 1.0), (0, 2.0), (1, 1.0)] {
-                for (dx, wx) in [(-1, 1.0), (0, 2.0), (1, 1.0)] {
-                    sum += wx * wy * self.at(window, x + dx, y + dy)?;
+            for (dy, down) in BINOMIAL {
+                for (dx, across) in BINOMIAL {
+                    sum += down * across * self.at(window, x + dx, y + dy)?;
                 }
             }
-            Some(sum / 16.0)
+            Some(sum)
         };
-        let slope = |k: i64| {
-            let (x, y) = (k % self.width, k / self.width);
-            let across = smooth(x + 1, y)? - smooth(x - 1, y)?;
-            Some([across, smooth(x, y + 1)? - smooth(x, y - 1)?])
+        let smoothed: Vec<Option<f64>> = places().map(smooth).collect();
+        let at = |x: i64, y: i64| {
+            let inside = (0..self.width).contains(&x) && (0..self.height).contains(&y);
+            inside.then(|| smoothed[(y * self.width + x) as usize]).flatten()
         };
-        (0..self.width * self.height).map(slope).collect()
+        let slope = |(x, y): (i64, i64)| {
+            let (mut across, mut down) = (0.0, 0.0);
+            for (d, weight) in ACROSS {
+                across += weight * (at(x + 1, y + d)? - at(x - 1, y + d)?);
+                down += weight * (at(x + d, y + 1)? - at(x + d, y - 1)?);
+            }
+            Some([across, down])
+        };
+        places().map(slope).collect()
     }
 
     /// Whether a half turn about a place lays edges on edges within the first of `radii`, and, where the mark goes on
