@@ -57,29 +57,31 @@ pub(super) struct Told {
 /// The centre of what every window shows.
 pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
     let field = Field::new(grid);
-    // The first may be the one that shows least: then another, on which most can be laid.
-    let most = windows.len() / 2 + 1;
-    let count = |moved: &[Option<[f64; 2]>]| moved.iter().flatten().count();
-    let mut tries = (0..windows.len()).map(|first| field.laid_on(windows, first));
-    let mut moved = tries.next().unwrap_or_default();
-    if count(&moved) < most {
-        moved = tries.find(|m| count(m) >= most).unwrap_or(moved);
-    }
     let mut found = vec![Centre::AsPointed; windows.len()];
     let mut shared_sigma = 0.0;
-    if count(&moved) >= 2 {
-        let stack = field.stacked(windows, &moved);
-        let squares: f64 = moved.iter().flatten().map(|s| s[0] * s[0] + s[1] * s[1]).sum();
-        let n = count(&moved) as f64;
+    let mut laid = field.laid_on_most(windows);
+    let edges: Vec<Vec<f32>> = windows.iter().map(|w| field.edges(w)).collect();
+    let edges: Vec<&Values> = edges.iter().map(Vec::as_slice).collect();
+    let mut seen = windows;
+    // In front of terrain marks have their edges in common, not where it is dark and where bright.
+    if count(&laid) < 2 {
+        (laid, seen) = (field.laid_on_most(&edges), &edges);
+    }
+    if count(&laid) >= 2 {
+        let stack = field.stacked(seen, &laid);
+        let squares: f64 = laid.iter().flatten().map(|s| s[0] * s[0] + s[1] * s[1]).sum();
+        let n = count(&laid) as f64;
         let of_mean = (squares / (2.0 * (n - 1.0)) / n).sqrt();
-        let Settled { shift: centre, sigma, .. } =
-            settled(&field, &stack, of_mean, |tell, centre| field.spread(windows, &moved, centre, tell));
-        shared_sigma = sigma;
-        let edges = field.edges(&stack);
-        for ((window, shift), found) in windows.iter().zip(&mut moved).zip(&mut found) {
-            *found = match field.compare(&edges, &field.edges(window), *shift) {
+        let spread = |tell: Tell, centre| field.spread(seen, &laid, centre, tell);
+        let settled = by_symmetry(&field, &stack, of_mean, spread)
+            .or_else(|| by_corner(&field, &stack, of_mean, spread))
+            .unwrap_or_else(|| by_clicks(&field, &stack, of_mean));
+        shared_sigma = settled.sigma;
+        let common = field.edges(&stack);
+        for ((edges, shift), found) in edges.iter().zip(&laid).zip(&mut found) {
+            *found = match field.compare(&common, edges, *shift) {
                 Some((shift, alike)) => {
-                    let shift = [shift[0] + centre[0], shift[1] + centre[1]];
+                    let shift = [shift[0] + settled.shift[0], shift[1] + settled.shift[1]];
                     if alike.correlation > SAME {
                         Centre::Same(shift)
                     } else if alike.contrast < FAINT {
@@ -97,47 +99,58 @@ pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
         if centre != Centre::AsPointed {
             return Told { centre, sigma: shared_sigma };
         }
-        // Alone there is one click, and it is its own mean.
-        let alone = settled(&field, window, click_sigma, |_, _| 0.0);
-        let centre = if alone.is_told { Centre::Own(alone.shift) } else { centre };
-        Told { centre, sigma: alone.sigma }
+        // Alone there is one click, and it is its own mean; what lies behind a mark has corners, but no symmetry.
+        match by_symmetry(&field, window, click_sigma, |_, _| 0.0) {
+            Some(own) => Told { centre: Centre::Own(own.shift), sigma: own.sigma },
+            None => Told { centre, sigma: by_clicks(&field, window, click_sigma).sigma },
+        }
     };
     windows.iter().zip(found).map(told).collect()
 }
 
-/// A reference point from the mean of its clicks, values of the grid.
+/// How many windows could be laid on the others.
+fn count(laid: &[Option<[f64; 2]>]) -> usize {
+    laid.iter().flatten().count()
+}
+
+/// A reference point from the mean of its clicks, and its standard deviation, values of the grid.
 struct Settled {
     shift: [f64; 2],
     sigma: f64,
-    /// Whether what is seen tells it, not the clicks alone.
-    is_told: bool,
 }
 
 /// How what is seen in a window tells its reference point.
 type Tell<'a> = &'a dyn Fn(&Values) -> Option<[f64; 2]>;
 
-/// The reference point of marks from the mean of their clicks, and its standard deviation: their centre of symmetry or
-/// else the corner of two edges, with what `spread` says of it, where it lies as near as the mean's deviation allows.
-/// Further away it is another point, or the clicks are all wrong: then the mean stays, and where that is a centre of
-/// symmetry, no better than both are apart.
-fn settled(field: &Field, window: &Values, of_mean: f64, spread: impl Fn(Tell, [f64; 2]) -> f64) -> Settled {
-    let by_clicks = NEAR_SIGMAS * 2f64.sqrt() * of_mean;
-    let told = |tell: Tell, centre: [f64; 2]| Settled {
-        shift: centre,
-        sigma: spread(tell, centre).max(LEAST_SIGMA),
-        is_told: true,
-    };
-    let symmetric: Tell = &|window| field.symmetric_centre(window);
-    let centre = symmetric(window);
-    if let Some(centre) = centre.filter(|c| c[0].hypot(c[1]) <= NEAR_CLICKS.max(by_clicks)) {
-        return told(symmetric, centre);
-    }
-    let corner: Tell = &|window| field.corner(window, NEAR_CORNER + by_clicks);
-    if let Some(centre) = corner(window) {
-        return told(corner, centre);
-    }
-    let away = centre.map_or(0.0, |c| c[0].hypot(c[1]));
-    Settled { shift: [0.0; 2], sigma: of_mean.max(away / 2f64.sqrt()).max(LEAST_SIGMA), is_told: false }
+/// How far a reference point may lie from the mean of clicks with this standard deviation.
+fn allowed(of_mean: f64) -> f64 {
+    NEAR_SIGMAS * 2f64.sqrt() * of_mean
+}
+
+/// The centre of symmetry, with what `spread` says of it, where it lies as near as the mean of the clicks allows.
+fn by_symmetry(
+    field: &Field,
+    window: &Values,
+    of_mean: f64,
+    spread: impl Fn(Tell, [f64; 2]) -> f64,
+) -> Option<Settled> {
+    let tell: Tell = &|window| field.symmetric_centre(window);
+    let shift = tell(window).filter(|c| c[0].hypot(c[1]) <= NEAR_CLICKS.max(allowed(of_mean)))?;
+    Some(Settled { shift, sigma: spread(tell, shift).max(LEAST_SIGMA) })
+}
+
+/// The corner of two edges, likewise.
+fn by_corner(field: &Field, window: &Values, of_mean: f64, spread: impl Fn(Tell, [f64; 2]) -> f64) -> Option<Settled> {
+    let tell: Tell = &|window| field.corner(window, NEAR_CORNER + allowed(of_mean));
+    let shift = tell(window)?;
+    Some(Settled { shift, sigma: spread(tell, shift).max(LEAST_SIGMA) })
+}
+
+/// The mean of the clicks. Where a centre of symmetry lies further away, that is another point or the clicks are all
+/// wrong: then the mean is no better than both are apart.
+fn by_clicks(field: &Field, window: &Values, of_mean: f64) -> Settled {
+    let away = field.symmetric_centre(window).map_or(0.0, |c| c[0].hypot(c[1]));
+    Settled { shift: [0.0; 2], sigma: of_mean.max(away / 2f64.sqrt()).max(LEAST_SIGMA) }
 }
 
 /// Standard deviation of a click along one axis, by those that are known to be off; 0 where none is.
@@ -162,30 +175,6 @@ mod tests {
             .collect()
     }
 
-    /// Half discs are no images of themselves: nothing but the clicks' mean tells where their centre is, and they
-    /// scatter by what is known.
-    #[test]
-    fn clicks_on_marks_without_symmetry_say_how_good_they_are() {
-        let grid = Grid { step_mm: 0.06, width: 80, height: 80 };
-        let off = [[2.0, -1.3], [-4.6, 0.4], [0.0, 5.0], [2.6, -4.1]];
-        let made = off.map(|o| -> Vec<f32> {
-            let wedge = |k: usize| {
-                let (u, v) = ((k % 80) as f64 + 0.5 - 40.0 - o[0], (k / 80) as f64 + 0.5 - 40.0 - o[1]);
-                let depth = (0.45 * -v - u.abs()).clamp(0.0, 1.0) * (v + 20.0).clamp(0.0, 1.0);
-                depth as f32 + 0.02 * ((k * 7919) % 13) as f32 / 13.0
-            };
-            (0..6400).map(wedge).collect()
-        });
-        let windows: Vec<&Values> = made.iter().map(Vec::as_slice).collect();
-        let squares: f64 = off.iter().map(|o| o[0] * o[0] + o[1] * o[1]).sum();
-        let expected = (squares / 6.0 / 4.0).sqrt();
-        for (told, o) in centres(&windows, &grid).iter().zip(off) {
-            assert!((told.sigma - expected).abs() < 0.1 * expected, "{told:?}, {expected}");
-            let shift = told.centre.shift().expect("wedges look alike");
-            assert!((shift[0] - o[0]).hypot(shift[1] - o[1]) < 0.3, "{shift:?} for {o:?}");
-        }
-    }
-
     /// What lies inside of a shape, in values from its reference point, with grain.
     fn solid(size: (usize, usize), off: [f64; 2], inside: impl Fn(f64, f64) -> bool) -> Vec<f32> {
         let middle = [0.5 * size.0 as f64 + off[0], 0.5 * size.1 as f64 + off[1]];
@@ -202,6 +191,39 @@ mod tests {
 
     /// A shape by its name, as whether a place in values from its reference point lies inside.
     type Solid = (&'static str, fn(f64, f64) -> bool);
+
+    const OFF: [[f64; 2]; 4] = [[2.0, -1.3], [-4.6, 0.4], [0.0, 5.0], [2.6, -4.1]];
+
+    /// Half discs are no images of themselves, and their reference point is no corner: nothing but the clicks' mean
+    /// tells it, and they scatter by what is known.
+    #[test]
+    fn clicks_on_marks_without_a_point_say_how_good_they_are() {
+        let made = OFF.map(|o| solid((80, 80), o, |u, v| u.hypot(v) < 18.0 && v < 0.0));
+        let windows: Vec<&Values> = made.iter().map(Vec::as_slice).collect();
+        let squares: f64 = OFF.iter().map(|o| o[0] * o[0] + o[1] * o[1]).sum();
+        let expected = (squares / 6.0 / 4.0).sqrt();
+        for (told, o) in centres(&windows, &Grid { step_mm: 0.06, width: 80, height: 80 }).iter().zip(OFF) {
+            assert!((told.sigma - expected).abs() < 0.1 * expected, "{told:?}, {expected}");
+            let shift = told.centre.shift().expect("half discs look alike");
+            assert!((shift[0] - o[0]).hypot(shift[1] - o[1]) < 0.4, "{shift:?} for {o:?}");
+        }
+    }
+
+    /// Edges that meet tell the reference point of wedges and notches, whatever their angle.
+    #[test]
+    fn clicks_beside_corners_are_moved_onto_them() {
+        for slope in [0.35, 0.45, 0.75, 1.3] {
+            // Clicks whose mean is 1.2 values beside the corner.
+            let off = OFF.map(|o| [o[0] + 1.0, o[1] + 0.7]);
+            let made = off.map(|o| solid((80, 80), o, |u, v| v < 0.0 && v > -24.0 && u.abs() < -slope * v));
+            let windows: Vec<&Values> = made.iter().map(Vec::as_slice).collect();
+            for (told, o) in centres(&windows, &Grid { step_mm: 0.06, width: 80, height: 80 }).iter().zip(off) {
+                let shift = told.centre.shift().expect("wedges look alike");
+                let error = (shift[0] - o[0]).hypot(shift[1] - o[1]);
+                assert!(error < 0.25 && told.sigma < 0.3, "slope {slope}: {told:?} for {o:?}");
+            }
+        }
+    }
 
     /// Solid shapes cover themselves well under half a turn about their middle, which is not their reference point:
     /// exact clicks stay.

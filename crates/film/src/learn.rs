@@ -123,8 +123,8 @@ fn learn_visiting(
         };
         if let Some(shown) = &shown {
             elsewhere = stacks.iter().map(Option::is_some).collect();
-            for m in shown.guessed() {
-                stacks[m.k].get_or_insert_with(|| Stack::of(&m.window));
+            for (k, window) in shown.guessed_windows() {
+                stacks[k].get_or_insert(window);
             }
         }
         for (template, stack) in templates.iter_mut().zip(stacks) {
@@ -135,16 +135,16 @@ fn learn_visiting(
         }
         finder = with_templates(camera, &templates)?;
     }
-    for (shown, mark) in shown.iter().flat_map(|s| s.windows.iter().map(move |m| (s, m))) {
-        if let Some(template) = &mut templates[mark.k] {
-            template.reference_sigma_um = shown.sigma(mark, elsewhere[mark.k]) * template.pixel_um;
+    for (k, sigma) in shown.iter().flat_map(|s| s.sigmas(&elsewhere)) {
+        if let Some(template) = &mut templates[k] {
+            template.reference_sigma_um = sigma * template.pixel_um;
         }
     }
     Ok(templates)
 }
 
 /// Finds the marks in a further frame, first as it lay when they were pointed at: marks in a square, which may all look
-/// alike, do not tell its quarters, and one scanner's frames lie alike. `None` when they are not found.
+/// alike, do not tell its quarters, and one scanner's frames lie alike. `None` when they are not found, or what is found fits no film.
 fn examine(
     finder: &Finder,
     scan: &dyn RasterSource,
@@ -156,7 +156,9 @@ fn examine(
     let ways = alike.map(|s| FindOptions { turn_deg: Some(quarter(s)), ..options.clone() });
     for options in ways.iter().chain([options]) {
         let frame = finder.find(scan, options)?;
-        if let Some(pose) = pose_of(&finder.camera, &frame) {
+        let fits =
+            |pose: &Pose| frame.interior.as_ref().is_some_and(|i| i.rmse_um <= finder.most_rmse_um(options, pose));
+        if let Some(pose) = pose_of(&finder.camera, &frame).filter(fits) {
             return Ok(Some((frame, pose)));
         }
     }

@@ -56,7 +56,9 @@ fn pose_of_places(camera: &Camera, places: &[(usize, PixelPoint)]) -> Option<Pos
 pub(super) struct Shown {
     pub pose: Pose,
     pub grid: Grid,
-    pub windows: Vec<ShownMark>,
+    windows: Vec<ShownMark>,
+    /// Marks of which the scan shows too little to cut a window out; none without `common`.
+    cut: Vec<usize>,
     /// What the marks that show the same have in common; `None` where fewer than [`SAME_MARKS`] do.
     common: Option<Stack>,
 }
@@ -98,7 +100,7 @@ impl Shown {
             }
         }
         let grid = Grid::new(&pose, window_mm);
-        let first = windows_at(scan, camera, &pose, &places, &grid, window_mm)?;
+        let first = windows_at(scan, camera, &pose, &places, &grid)?;
         // Clicks are a few pixels off; the marks themselves say by how much.
         let windows: Vec<&[f32]> = first.iter().map(|(_, w)| w.as_slice()).collect();
         let centres = centres(&windows, &grid);
@@ -109,19 +111,27 @@ impl Shown {
             let (_, at) = places.iter_mut().find(|p| p.0 == *k).expect("windows are cut at places");
             *at = PixelPoint { x: at.x + linear[0] * u + linear[1] * v, y: at.y + linear[2] * u + linear[3] * v };
         }
-        pose = pose_of_places(camera, &places).unwrap_or(pose);
-        let windows: Vec<ShownMark> = windows_at(scan, camera, &pose, &places, &grid, window_mm)?
+        let whole: Vec<_> = places.iter().copied().filter(|(k, _)| first.iter().any(|w| w.0 == *k)).collect();
+        pose = pose_of_places(camera, &whole).unwrap_or(pose);
+        let told = |k: usize| first.iter().zip(&centres).find(|((of, _), _)| *of == k).map(|(_, told)| *told);
+        let windows: Vec<ShownMark> = windows_at(scan, camera, &pose, &whole, &grid)?
             .into_iter()
-            .zip(centres)
-            .map(|((k, window), told)| ShownMark { k, told, window })
+            .filter_map(|(k, window)| Some(ShownMark { k, told: told(k)?, window }))
             .collect();
+        let cut: Vec<_> = places.into_iter().filter(|(k, _)| windows.iter().all(|m| m.k != *k)).collect();
         let mut same = windows.iter().filter(|m| matches!(m.told.centre, Centre::Same(_))).map(|m| m.window.as_slice());
         let common = same.next().map(|first| {
             let mut stack = Stack::of(first);
             same.for_each(|w| stack.add(w));
             stack
         });
-        let shown = Shown { pose, grid, windows, common: common.filter(|c| c.windows >= SAME_MARKS) };
+        let common = common.filter(|c| c.windows >= SAME_MARKS);
+        if let Some((k, at)) = cut.first().filter(|_| common.is_none()) {
+            let [width, height] = window_mm;
+            let what = format!("a window of {width} x {height} mm about it leaves the scan");
+            return Err(wrong(camera, *k, *at, &what, "say a smaller --window-mm, or leave this mark out"));
+        }
+        let shown = Shown { pose, grid, windows, cut: cut.into_iter().map(|(k, _)| k).collect(), common };
         shown.warn(camera);
         Ok(shown)
     }
@@ -136,6 +146,10 @@ impl Shown {
                 "taken exactly where it was pointed at, since nothing there tells its centre"
             };
             tracing::warn!("mark {}: {what}", camera.marks[mark.k].name);
+        }
+        for k in &self.cut {
+            let name = &camera.marks[*k].name;
+            tracing::warn!("mark {name}: the scan's border cuts it off; taken to look like the others");
         }
         let unsure: Vec<&ShownMark> = self
             .windows
@@ -159,49 +173,53 @@ impl Shown {
             (Some(common), Centre::Same(_) | Centre::Faint(_) | Centre::AsPointed) => common.clone(),
             _ => Stack::of(&m.window),
         };
-        self.windows.iter().map(|m| (m.k, of(m))).collect()
+        let cut = self.cut.iter().filter_map(|k| Some((*k, self.common.clone()?)));
+        self.windows.iter().map(|m| (m.k, of(m))).chain(cut).collect()
     }
 
     /// Marks taken to look like the others although this frame does not show it.
-    pub fn guessed(&self) -> impl Iterator<Item = &ShownMark> {
+    fn guessed(&self) -> impl Iterator<Item = &ShownMark> {
         self.windows.iter().filter(|m| self.common.is_some() && m.told.centre == Centre::AsPointed)
     }
 
-    /// How well the place of a mark is known, values of the grid; one that is not seen here but `elsewhere` lies as
-    /// well as the others.
-    pub fn sigma(&self, mark: &ShownMark, elsewhere: bool) -> f64 {
-        let same = self.windows.iter().find(|m| matches!(m.told.centre, Centre::Same(_)));
-        same.filter(|_| elsewhere && self.is_guessed(mark.k)).map_or(mark.told.sigma, |m| m.told.sigma)
+    /// What is about the marks that were taken to look like the others, where somebody pointed at them.
+    pub fn guessed_windows(&self) -> impl Iterator<Item = (usize, Stack)> {
+        self.guessed().map(|m| (m.k, Stack::of(&m.window)))
     }
 
     pub fn is_guessed(&self, k: usize) -> bool {
-        self.guessed().any(|m| m.k == k)
+        self.cut.contains(&k) || self.guessed().any(|m| m.k == k)
+    }
+
+    /// How well the place of each mark is known, values of the grid; one that is not seen here but `elsewhere`, or that
+    /// the border cuts off, lies as well as those that it looks like.
+    pub fn sigmas(&self, elsewhere: &[bool]) -> Vec<(usize, f64)> {
+        let same = self.windows.iter().find(|m| matches!(m.told.centre, Centre::Same(_))).map(|m| m.told.sigma);
+        let of = |m: &ShownMark| same.filter(|_| elsewhere[m.k] && self.is_guessed(m.k)).unwrap_or(m.told.sigma);
+        let cut = self.cut.iter().filter_map(|k| Some((*k, same?)));
+        self.windows.iter().map(|m| (m.k, of(m))).chain(cut).collect()
     }
 }
 
-/// Cuts every place out.
+fn wrong(camera: &Camera, k: usize, at: PixelPoint, what: &str, remedy: &str) -> Error {
+    Error::usage(format!("mark {} at {:.0},{:.0}: {what}", camera.marks[k].name, at.x, at.y), remedy)
+}
+
+/// Cuts every place out whose window lies in the scan.
 fn windows_at(
     scan: &dyn RasterSource,
     camera: &Camera,
     pose: &Pose,
     places: &[(usize, PixelPoint)],
     grid: &Grid,
-    window_mm: [f64; 2],
 ) -> Result<Vec<(usize, Vec<f32>)>> {
     let mut windows = vec![];
     for &(k, at) in places {
-        let wrong = |what: String, remedy: &str| {
-            Err(Error::usage(format!("mark {} at {:.0},{:.0}: {what}", camera.marks[k].name, at.x, at.y), remedy))
-        };
-        let Some(window) = cut(scan, camera, pose, k, at, grid)? else {
-            return wrong(
-                format!("a window of {} x {} mm about it leaves the scan", window_mm[0], window_mm[1]),
-                "say a smaller --window-mm, or leave this mark out",
-            );
-        };
+        let Some(window) = cut(scan, camera, pose, k, at, grid)? else { continue };
         let (low, high) = window.iter().fold((f32::MAX, f32::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
         if high - low < 0.2 {
-            return wrong("nothing stands out there".into(), "point at the mark itself, in pixels of the scan");
+            let remedy = "point at the mark itself, in pixels of the scan";
+            return Err(wrong(camera, k, at, "nothing stands out there", remedy));
         }
         windows.push((k, window));
     }

@@ -1,7 +1,7 @@
 //! The windows about places that were pointed at, laid on each other and on themselves turned by half a turn.
 
 use super::super::learn::Grid;
-use super::{LEAST_SIGMA, Values};
+use super::{LEAST_SIGMA, Values, count};
 
 /// Half the side of the disc that is compared, millimetres.
 const DISC_MM: f64 = 1.6;
@@ -73,9 +73,18 @@ impl Field {
         [self.width / 2, self.height / 2]
     }
 
+    /// As many windows as can be, laid on each other. The first may be the one that shows least: then another, on which
+    /// most can be laid.
+    pub(super) fn laid_on_most(&self, windows: &[&Values]) -> Vec<Option<[f64; 2]>> {
+        let most = windows.len() / 2 + 1;
+        let mut tries = (0..windows.len()).map(|first| self.laid_on(windows, first));
+        let first = tries.next().unwrap_or_default();
+        if count(&first) >= most { first } else { tries.find(|laid| count(laid) >= most).unwrap_or(first) }
+    }
+
     /// All windows laid on that of a number, and then on what they have in common, which is clearer; shifts of mean 0,
     /// since nothing is known of what clicks share.
-    pub(super) fn laid_on(&self, windows: &[&Values], first: usize) -> Vec<Option<[f64; 2]>> {
+    fn laid_on(&self, windows: &[&Values], first: usize) -> Vec<Option<[f64; 2]>> {
         let mut moved: Vec<Option<[f64; 2]>> = vec![None; windows.len()];
         let mut stack: Vec<f32> = windows[first].to_vec();
         for _ in 0..3 {
