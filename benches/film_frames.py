@@ -265,7 +265,7 @@ def judge(args):
         c, truths = PLAIN | CASES[case], json.load(open(os.path.join(folder, "truth.json")))
         scans, cam = [os.path.join(folder, n) for n in truths], os.path.join(folder, "camera.toml")
         if KINDS[c["kind"]][1] == "learn" or args.clicks is not None:
-            rng, t = np.random.default_rng(5), truths[os.path.basename(scans[0])]
+            rng, t = np.random.default_rng(args.click_seed), truths[os.path.basename(scans[0])]
             size = args.clicks or 0.0
             turns = rng.uniform(0, 2 * np.pi, len(t["places"]))
             at = [f"--at=M{k}={x + size * np.cos(a):.2f},{y + size * np.sin(a):.2f}" for k, ((x, y), a) in enumerate(zip(t["places"], turns))]
@@ -354,6 +354,7 @@ for name, do in (("draw", draw_all), ("judge", judge), ("wrong", wrong)):
         job.add_argument("--csv")
         job.add_argument("--width", type=int, default=110)
         job.add_argument("--clicks", type=float, help="learn every camera from clicks that are so many pixels off")
+        job.add_argument("--click-seed", type=int, default=5)
         job.add_argument("--photos", nargs="*")
 if __name__ == "__main__":
     args = parser.parse_args()

@@ -356,3 +356,47 @@ fn a_template_learned_from_a_roll_finds_the_marks_of_other_frames() {
         assert!(worst < 2.0, "{worst} px");
     }
 }
+
+/// The marks of a camera clicked two pixels off, each in another direction.
+fn clicks_beside(scans: &Path, name: &str) -> Vec<String> {
+    let truth = std::fs::read_to_string(scans.join(format!("{name}.truth.json"))).expect("written");
+    let truth: serde_json::Value = serde_json::from_str(&truth).expect("the truth");
+    let beside = |(k, mark): (usize, &serde_json::Value)| {
+        let (sin, cos) = (1.0 + 2.4 * k as f64).sin_cos();
+        let at = |axis: &str| mark[axis].as_f64().expect("a number");
+        format!("--at={}={:.2},{:.2}", mark["mark"].as_str().expect("a name"), at("x") + 2.0 * cos, at("y") + 2.0 * sin)
+    };
+    truth["marks"].as_array().expect("a list").iter().enumerate().map(beside).collect()
+}
+
+/// What clicks two pixels off teach finds the marks to half a pixel: of notches by their corner; of rings although the
+/// border cuts one of them off.
+#[test]
+fn clicks_beside_marks_teach_a_camera() {
+    for (camera, offset_mm, marks) in [("side-notch", "0,0", 4), ("wild-15-4", "4.2,0", 7)] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let [scans, taught, out] = ["scans", "taught", "out"].map(|name| folder.path().join(name));
+        draw(&scans, camera, &["--pixel-um", "60", "--frames", "2", "--offset-mm", offset_mm]);
+        let clicks = clicks_beside(&scans, &format!("{camera}-1"));
+        let mut how: Vec<&str> = clicks.iter().map(String::as_str).collect();
+        how.extend(["--learn", "--window-mm", "5,5"]);
+        examine(std::slice::from_ref(&scans), &taught, camera, &how).code(0);
+        let file = taught.join(format!("{camera}-learned.toml"));
+        let way = ["--turn", "0", "--mirrored", "false"];
+        examine(std::slice::from_ref(&scans), &out, file.to_str().expect("plain"), &way).code(0);
+        for name in [1, 2].map(|seed| format!("{camera}-{seed}")) {
+            let found = frame(&out, &name);
+            assert_eq!(found["inner"]["marks"].as_array().map(Vec::len), Some(marks), "{name}: {}", found["status"]);
+            let truth = std::fs::read_to_string(scans.join(format!("{name}.truth.json"))).expect("written");
+            let truth: serde_json::Value = serde_json::from_str(&truth).expect("the truth");
+            for (mark, known) in
+                found["marks"].as_array().expect("a list").iter().zip(truth["marks"].as_array().expect("a list"))
+            {
+                let number = |of: &serde_json::Value, axis: &str| of[axis].as_f64();
+                let Some((x, y)) = number(&mark["centre"], "x").zip(number(&mark["centre"], "y")) else { continue };
+                let (kx, ky) = number(known, "x").zip(number(known, "y")).expect("a place");
+                assert!((x - kx).hypot(y - ky) < 0.5, "{name}: {mark} at {kx}, {ky}");
+            }
+        }
+    }
+}
