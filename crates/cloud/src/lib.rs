@@ -17,7 +17,6 @@ pub mod params;
 mod quiet;
 pub mod schema;
 pub mod smrf;
-pub mod sum;
 pub mod summary;
 pub mod tiles;
 

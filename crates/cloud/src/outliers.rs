@@ -7,8 +7,8 @@ use rayon::prelude::*;
 
 use crate::error::Result;
 use crate::neighbours;
-use crate::sum::ExactSum;
 use crate::tiles::{Point, Tiles};
+use autoref_raster::exact_sum::ExactSum;
 
 /// LAS class of noise.
 pub const NOISE: u8 = 7;

@@ -10,7 +10,6 @@ pub mod align;
 pub mod compare;
 pub mod couple;
 pub mod derive;
-pub mod exact;
 pub mod files;
 pub mod footprint;
 pub mod gradient;

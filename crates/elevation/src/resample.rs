@@ -17,16 +17,6 @@ pub enum Interpolation {
     Lagrange,
 }
 
-/// Keys's kernel with a = −1/2, at a distance in cells.
-pub(crate) fn keys(distance: f64) -> f64 {
-    let t = distance.abs();
-    match t {
-        t if t < 1.0 => 1.5 * t * t * t - 2.5 * t * t + 1.0,
-        t if t < 2.0 => -0.5 * t * t * t + 2.5 * t * t - 4.0 * t + 2.0,
-        _ => 0.0,
-    }
-}
-
 /// Positions nearer to a cell's centre than this are that cell: grids that agree do so up to rounding.
 const SNAP_PX: f64 = 1e-6;
 

@@ -13,3 +13,17 @@ pub fn counted<N: Display + PartialEq + From<u8>>(count: N, one: &str, many: &st
     let word = if count == N::from(1) { one } else { many };
     format!("{count} {word}")
 }
+
+/// The first names of a list, and how many more there are.
+///
+/// ```
+/// use autoref_raster::words::some_of;
+/// assert_eq!(some_of(&["a", "b"]), "a, b");
+/// assert_eq!(some_of(&["a", "b", "c", "d", "e", "f", "g"]), "a, b, c, d, e and 2 more");
+/// ```
+pub fn some_of<S: AsRef<str>>(names: &[S]) -> String {
+    const SHOWN: usize = 5;
+    let first: Vec<&str> = names.iter().take(SHOWN).map(AsRef::as_ref).collect();
+    let first = first.join(", ");
+    if names.len() > SHOWN { format!("{first} and {} more", names.len() - SHOWN) } else { first }
+}

@@ -11,6 +11,7 @@ use super::place::Place;
 use super::plane::Plane;
 use super::{Frame, Manner, Options, Stat};
 use crate::error::{Error, Result};
+use crate::io::stem;
 
 /// Rows that are written at a time at most: whole tiles of a GeoTIFF.
 const ROWS: usize = 256;
@@ -51,12 +52,6 @@ pub fn output_paths(cloud: &Path, folder: &Path, options: &Options) -> Vec<PathB
 
 fn fills(options: &Options) -> bool {
     options.fill_cells > 0 && options.stats.iter().any(|(_, stat)| *stat != Stat::Count)
-}
-
-fn stem(cloud: &Path) -> String {
-    let name = cloud.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let name = name.strip_suffix(".copc.laz").map(String::from).unwrap_or(name);
-    Path::new(&name).file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Bytes that one row takes when it is written, and those of the rows that its holes are filled from.

@@ -278,3 +278,12 @@ pub fn format_of(path: &Path) -> Result<Format> {
         }
     }
 }
+
+/// The name of a cloud without folder and extension.
+pub fn stem(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    match name.strip_suffix(".copc.laz") {
+        Some(stem) => stem.to_string(),
+        None => Path::new(&name).file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+    }
+}

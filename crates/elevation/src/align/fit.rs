@@ -9,7 +9,6 @@
 //! product of both models' gradients, which noise does not enlarge.
 
 use crate::error::Result;
-use crate::exact::ExactSum;
 use crate::footprint::{Buffers, Footprints};
 use crate::grid::{Grid, GroundUnit};
 use crate::resample::{Interpolation, Resampled, Scratch};
@@ -17,6 +16,7 @@ use crate::source::{Heights, Patch};
 use crate::stream::{self, BLOCK_PX, Means};
 use crate::window::Window;
 use crate::zones::Zones;
+use autoref_raster::exact_sum::ExactSum;
 
 use super::block::{Partial, View};
 use super::residuals::AbsHistogram;

@@ -30,6 +30,7 @@ use crate::grid::Grid;
 use crate::output::{self, Cut, Form};
 use crate::resample::Interpolation;
 use crate::window::Window;
+use autoref_raster::cloud_optimised::{self, Overviews};
 use autoref_raster::words::counted;
 use read::Opened;
 use source::Source;
@@ -191,7 +192,7 @@ impl MosaicJob<'_> {
                 if made.cells.last() == Some(&(grid.width * grid.height)) {
                     remove_mask(&plain);
                 }
-                cloud_optimised(&plain, path, self.threads(&sources))?;
+                cloud_optimised::copy(&plain, path, Overviews::Cubic, self.threads(&sources))?;
                 counts = made;
                 Ok(())
             });
@@ -550,31 +551,4 @@ impl Whole<'_> {
 /// Whether a cell holds anything in one of the bands that decide: black paint has no red, and is there.
 fn holds(values: &[f64], area: usize, cell: usize, deciding: &[usize]) -> bool {
     deciding.iter().any(|band| !values[band * area + cell].is_nan())
-}
-
-/// The tiled copy as a Cloud Optimized GeoTIFF with overviews.
-fn cloud_optimised(plain: &Path, out: &Path, threads: usize) -> Result<()> {
-    use gdal::DriverManager;
-    use gdal::raster::RasterCreationOptions;
-    let failed = |e: gdal::errors::GdalError| autoref_raster::failed_to_write(out, &e.to_string());
-    let source = crate::model::open_dataset(plain)?;
-    let threads = format!("NUM_THREADS={}", threads.max(1));
-    let bands = source.raster_count();
-    let sample = source.rasterband(1).map_err(failed)?.band_type().bytes() as usize;
-    // GDAL gathers a block of all bands.
-    let fits = |side: &usize| side * side * bands * sample <= 4 << 20;
-    let block = format!("BLOCKSIZE={}", [512, 256, 128].into_iter().find(fits).unwrap_or(128));
-    let options = RasterCreationOptions::from_iter([
-        "COMPRESS=DEFLATE",
-        "PREDICTOR=YES",
-        "BIGTIFF=IF_SAFER",
-        "SPARSE_OK=TRUE",
-        &block,
-        &threads,
-    ]);
-    let driver = DriverManager::get_driver_by_name("COG").map_err(failed)?;
-    // Overviews are the same from pieces of any size; GDAL takes ten megabytes for each, several times.
-    gdal::config::set_config_option("GDAL_OVR_CHUNK_MAX_SIZE", "2000000").map_err(failed)?;
-    let copy = source.create_copy(&driver, out, &options).map_err(failed)?;
-    output::finish(out, copy)
 }

@@ -4,8 +4,9 @@
 //! the cells: a triangle for bilinear, Keys's cubic for the others, over what is there.
 
 use crate::grid::Grid;
-use crate::resample::{Interpolation, keys};
+use crate::resample::Interpolation;
 use crate::window::Window;
+use autoref_raster::keys;
 
 /// Ratio of the cells above which means are taken; GDAL's is 1/0.95.
 const COARSER: f64 = 1.0 / 0.95;
@@ -40,7 +41,7 @@ fn reaches(
     let weight = |distance: f64| match interpolation {
         Interpolation::Nearest => f64::from(u8::from(distance.abs() <= 0.5)),
         Interpolation::Bilinear => (1.0 - distance.abs()).max(0.0),
-        Interpolation::Cubic | Interpolation::Lagrange => keys(distance),
+        Interpolation::Cubic | Interpolation::Lagrange => keys::weight(distance),
     };
     let (low, high) = (start as f64, (start + length) as f64);
     let reach = |index: u64| {

@@ -2,13 +2,13 @@
 //! compared.
 
 use crate::window::Grey;
+use autoref_raster::keys;
 
 /// How values between pixels are computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kernel {
     Bilinear,
-    /// Cubic convolution with a = −1/2 (R. G. Keys, Cubic convolution interpolation for digital image processing,
-    /// 1981).
+    /// Keys' cubic convolution ([`keys`]).
     Cubic,
     /// sinc(t) · sinc(t/3) (C. E. Duchon, Lanczos filtering in one and two dimensions, 1979).
     Lanczos,
@@ -40,8 +40,7 @@ impl Kernel {
         }
         match self {
             Kernel::Bilinear => 1.0 - t,
-            Kernel::Cubic if t <= 1.0 => (1.5 * t - 2.5) * t * t + 1.0,
-            Kernel::Cubic => ((-0.5 * t + 2.5) * t - 4.0) * t + 2.0,
+            Kernel::Cubic => keys::weight(t),
             Kernel::Lanczos if t < 1e-9 => 1.0,
             Kernel::Lanczos => {
                 let a = std::f64::consts::PI * t;

@@ -12,6 +12,7 @@ use crate::bundle::{
 use crate::camera::Parameter;
 use crate::error::{Error, Result};
 use crate::read::Reconstruction;
+use autoref_raster::words::some_of;
 
 /// What the last adjustment makes of ties that do not fit.
 pub(super) const LOSS: Loss = Loss::Huber(3.0);
@@ -165,12 +166,6 @@ pub(super) fn hold_interiors(problem: &mut Problem) -> Option<String> {
             some_of(&held)
         )
     })
-}
-
-/// The first names of a list, and how many more there are.
-fn some_of(names: &[String]) -> String {
-    let first = names[..names.len().min(5)].join(", ");
-    if names.len() > 5 { format!("{first} and {} more", names.len() - 5) } else { first }
 }
 
 /// Whether nothing but [`hold_frames`] says where a frame is.

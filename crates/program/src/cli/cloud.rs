@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, bail};
+use autoref_cloud::io::stem;
 use autoref_cloud::{info, io, params};
 use autoref_raster::bounded;
 use autoref_raster::crs::Crs;
@@ -198,15 +199,6 @@ impl Cameras {
                 })
             }
         }
-    }
-}
-
-/// The name without folder and extension.
-pub fn stem(path: &Path) -> String {
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    match name.strip_suffix(".copc.laz") {
-        Some(stem) => stem.to_string(),
-        None => Path::new(&name).file_stem().unwrap_or_default().to_string_lossy().into_owned(),
     }
 }
 

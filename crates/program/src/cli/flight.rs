@@ -25,6 +25,7 @@ mod ties;
 pub(super) mod views;
 
 use autoref_raster::atomic::Existing;
+use autoref_raster::words::some_of;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -263,7 +264,7 @@ fn seen_points(
                 Error::no_result(format!("{list}: says of no point where it was seen{why}"), "name --observations")
             }
             names => Error::no_result(
-                format!("{list}: no point is seen in `{name}`; it has points of {}", lists::some_of(names)),
+                format!("{list}: no point is seen in `{name}`; it has points of {}", some_of(names)),
                 "name one of these frames",
             ),
         }

@@ -1,5 +1,6 @@
 //! Rough tables of cameras: where a flight's frames are said to stand, on the map and in the world's frame.
 
+use autoref_raster::words::some_of;
 use std::path::Path;
 
 use anyhow::{Result, bail};
@@ -14,7 +15,7 @@ use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::units::FOOT_M;
 use nalgebra::Vector3;
 
-use super::lists::{DATUM_M, height_unit_m, some_of};
+use super::lists::{DATUM_M, height_unit_m};
 
 /// What a block without GCPs cannot say.
 pub const NO_GCPS: &str = "no GCPs: the positions of the table place the block; what is wrong with all of them alike (the \

@@ -9,10 +9,11 @@ use autoref_flight::statistics::Residuals;
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Pose};
 use autoref_raster::crs::{Coordinate, Crs};
+use autoref_raster::words::some_of;
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
-use super::{camera_tables, lists};
+use super::camera_tables;
 
 /// Points to a side of a frame.
 const SIDE: usize = 12;
@@ -66,7 +67,7 @@ pub fn let_go_of_turned(rough: &mut [Option<RoughPose>], model: &Reconstruction,
          turned, or are its angles of another kind? Correct them, or leave the columns of directions out",
         turned.len(),
         model.photographs.len(),
-        lists::some_of(&turned)
+        some_of(&turned)
     ))
 }
 

@@ -1,5 +1,6 @@
 //! What frames say of themselves: whether they can be used, by what camera they were taken, and where.
 
+use autoref_raster::words::some_of;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -13,7 +14,6 @@ use gdal::{Dataset, Metadata};
 use rayon::prelude::*;
 
 use super::camera_tables::brought;
-use super::lists::some_of;
 use super::views::{Grey, LARGEST_PX};
 
 /// The frames that can be read and are of the size that most have, and a line about each of the others. `seen` is shown

@@ -1,5 +1,6 @@
 //! `flight init`: FLIGHT.toml from a folder of frames, and what they say of themselves.
 
+use autoref_raster::words::some_of;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -109,7 +110,7 @@ fn check_sizes(folder: &Path, names: &[String]) -> Result<()> {
         bail!("{}: all {} frames are files of no bytes; copy them again", folder.display(), names.len());
     }
     if !empty.is_empty() {
-        eprintln!("files of no bytes, which `flight solve` leaves out: {}; copy them again", lists::some_of(&empty));
+        eprintln!("files of no bytes, which `flight solve` leaves out: {}; copy them again", some_of(&empty));
     }
     Ok(())
 }

@@ -1,5 +1,6 @@
 //! Ground control of flights: points on the ground and where they were seen, from whatever list has them.
 
+use autoref_raster::words::some_of;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
@@ -148,12 +149,6 @@ impl Geodesy for Proj {
     }
 }
 
-/// The first names of a list, and how many more there are.
-pub fn some_of(names: &[String]) -> String {
-    let first = names[..names.len().min(5)].join(", ");
-    if names.len() > 5 { format!("{first} and {} more", names.len() - 5) } else { first }
-}
-
 /// Whether a point is called so, or as a pattern with `*` says.
 pub fn is_called(name: &str, wanted: &str) -> bool {
     name == wanted || super::project::matches_pattern(name, wanted)
@@ -261,7 +256,7 @@ impl Control {
                 "{list}: none of its frames ({}) is in {} ({}); correct the names",
                 some_of(&frames),
                 reconstruction.display(),
-                some_of(&known().map(str::to_string).collect::<Vec<_>>())
+                some_of(&known().collect::<Vec<_>>())
             );
         }
         let note = format!("{list}: frames without a camera, whose points are left out: {}", some_of(&lost));

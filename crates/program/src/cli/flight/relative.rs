@@ -1,6 +1,7 @@
 //! Ties and relative orientation: COLMAP's commands, each a stage that is kept, and the start from a rough table where
 //! they end.
 
+use autoref_raster::words::some_of;
 use std::hash::Hasher;
 use std::path::{Path, PathBuf};
 
@@ -13,7 +14,6 @@ use autoref_raster::atomic::Part;
 use autoref_raster::fingerprint::{self, Fingerprint};
 
 use super::engine::{Program, no_pair};
-use super::lists::some_of;
 use super::project::{Focal, Project};
 use super::ties::{self, Ties};
 use super::views::{Interior, Masks, View};

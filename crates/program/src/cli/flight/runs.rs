@@ -6,9 +6,9 @@ use autoref_flight::read::{same_image, tables::CameraRow};
 use autoref_flight::statistics::Residuals;
 use autoref_flight::{Camera, Pose};
 use autoref_raster::crs::Crs;
+use autoref_raster::words::some_of;
 use serde_json::{Value, json};
 
-use super::lists::some_of;
 use super::project::Project;
 use super::relative::{Flight, GroundPlane};
 

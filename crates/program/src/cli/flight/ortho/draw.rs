@@ -5,11 +5,13 @@ use std::path::Path;
 use autoref_elevation::grid::Grid;
 use autoref_elevation::output::{self, Cut, Form};
 use autoref_flight::ortho::{Place, View};
+use autoref_raster::cloud_optimised::{self, Overviews};
 use autoref_raster::error::{Error as RasterError, Result as RasterResult};
+use autoref_raster::keys;
 use autoref_raster::masked::has_mask;
 use autoref_raster::window::Window;
 use gdal::Dataset;
-use gdal::raster::{Buffer, ColorInterpretation, GdalType, RasterCreationOptions};
+use gdal::raster::{Buffer, ColorInterpretation, GdalType};
 
 use super::OrthorectifyArgs;
 use super::model::open;
@@ -117,7 +119,8 @@ impl Job<'_> {
                 // An empty picture is left out: the error only takes the temporary file away.
                 if count == 0 { Err(RasterError::usage("nothing is seen", "")) } else { Ok(()) }
             });
-            let result = result.and_then(|()| cloud_optimised(&plain, temporary, self.threads));
+            let result =
+                result.and_then(|()| cloud_optimised::copy(&plain, temporary, Overviews::Average, self.threads));
             let _ = std::fs::remove_file(&plain);
             result
         });
@@ -330,11 +333,7 @@ impl Plane {
 fn cubic(plane: &[f32], size: (usize, usize), at: [f32; 2]) -> Option<f32> {
     let (u, v) = (at[0] - 0.5, at[1] - 0.5);
     let (i, j) = (u.floor(), v.floor());
-    let weights = |t: f32| {
-        let (t2, t3) = (t * t, t * t * t);
-        [-0.5 * t + t2 - 0.5 * t3, 1.0 - 2.5 * t2 + 1.5 * t3, 0.5 * t + 2.0 * t2 - 1.5 * t3, -0.5 * t2 + 0.5 * t3]
-    };
-    let (wx, wy) = (weights(u - i), weights(v - j));
+    let (wx, wy) = (keys::weights(u - i), keys::weights(v - j));
     let clamp = |v: f32, n: usize| (v.max(0.0) as usize).min(n - 1);
     let pixel = |x: f32, y: f32| plane[clamp(y, size.1) * size.0 + clamp(x, size.0)];
     let (mut sum, mut low, mut high) = (0.0, f32::MAX, f32::MIN);
@@ -351,22 +350,4 @@ fn cubic(plane: &[f32], size: (usize, usize), at: [f32; 2]) -> Option<f32> {
     }
     // No ringing beside edges.
     Some(sum.clamp(low, high))
-}
-
-/// The tiled copy as a Cloud Optimized GeoTIFF with overviews.
-fn cloud_optimised(plain: &Path, out: &Path, threads: usize) -> RasterResult<()> {
-    let failed = |e: gdal::errors::GdalError| autoref_raster::failed_to_write(out, &e.to_string());
-    let source = Dataset::open(plain).map_err(failed)?;
-    let threads = format!("NUM_THREADS={}", threads.max(1));
-    let options = RasterCreationOptions::from_iter([
-        "COMPRESS=DEFLATE",
-        "PREDICTOR=YES",
-        "BIGTIFF=IF_SAFER",
-        "RESAMPLING=AVERAGE",
-        &threads,
-    ]);
-    let driver = gdal::DriverManager::get_driver_by_name("COG").map_err(failed)?;
-    let watch = autoref_raster::Written::watch(out);
-    let copy = source.create_copy(&driver, out, &options).map_err(failed)?;
-    watch.close(copy)
 }

@@ -13,7 +13,7 @@ const ADDITIONS_BEFORE_CARRY: u32 = 1 << 29;
 /// (Kulisch, *Computer Arithmetic and Validity*, 2013, calls it the long accumulator.)
 ///
 /// ```
-/// use autoref_cloud::sum::ExactSum;
+/// use autoref_raster::exact_sum::ExactSum;
 /// let sum: ExactSum = [1e100, 1.0, -1e100].into_iter().collect();
 /// assert_eq!(sum.value(), 1.0);
 /// ```
@@ -30,14 +30,14 @@ impl Default for ExactSum {
 }
 
 impl ExactSum {
-    /// Adds one term.
-    ///
-    /// # Panics
-    /// When `term` is not finite: the callers let only finite numbers in.
+    /// Adds one term. Terms that are not finite are left out; callers test for them.
     pub fn add(&mut self, term: f64) {
-        assert!(term.is_finite(), "only finite terms can be summed exactly");
+        debug_assert!(term.is_finite(), "only finite terms can be summed exactly");
         let bits = term.to_bits();
         let exponent = ((bits >> 52) & 0x7ff) as u32;
+        if exponent == 0x7ff {
+            return;
+        }
         let fraction = bits & ((1 << 52) - 1);
         let (mantissa, position) = if exponent == 0 { (fraction, 0) } else { (fraction | (1 << 52), exponent - 1) };
         let limb = (position / LIMB_BITS) as usize;
