@@ -339,95 +339,116 @@ impl Columns {
 
     /// One point from the fields of a row; `number` stands in for a name.
     pub(super) fn point(&self, path: &Path, place: String, fields: &[String], number: &str) -> Result<RawPoint> {
-        let text = |column: usize| fields.get(column).map(|t| t.trim()).filter(|t| !t.is_empty());
-        let no_number = |text: &str, what: &str| {
-            let remedy = match angle(text) {
-                Some(_) if self.packed.is_some() => {
-                    "its title says degrees, minutes and seconds in one number, and minutes and seconds end at 59: \
-                     correct the value or the title"
-                }
-                Some(_) if what != "height" => "it is an angle: call the columns `lon` and `lat`",
-                _ if text::number(text.trim_end_matches(char::is_alphabetic)).is_some() => {
-                    "write the unit into the title, as in `Height (m)`"
-                }
-                _ => "correct or remove the row",
-            };
-            Error::format(path, &place, format!("`{text}` is no number for the {what}; {remedy}"))
-        };
-        let required = |column: usize, what: &str, own: Letter| -> Result<f64> {
-            let Some(text) = text(column) else {
-                let filled = fields.iter().filter(|field| !field.is_empty()).count();
-                if filled == 1 && self.titles.len() > 1 {
-                    let shown: String =
-                        fields.iter().find(|f| !f.is_empty()).map_or("", |f| f).chars().take(60).collect();
-                    let what = format!(
-                        "`{shown}` is one cell under {} titles: other marks between the columns than in the header, or a \
-                         line end within a cell, which needs quotes; correct or remove the row",
-                        self.titles.len()
-                    );
-                    return Err(Error::format(path, &place, what));
-                }
-                return Err(Error::format(path, &place, format!("the {what} is missing; complete or remove the row")));
-            };
-            if self.geographic {
-                self.refuse_other_letter(path, &place, (column, text), own)?;
-            }
-            // What counts larger steps is no coordinate, and refused as such.
-            const ROUNDED: std::ops::RangeInclusive<f64> = 10.0..=1e6;
-            let value = self.number(text).ok_or_else(|| no_number(text, what))?;
-            match rounded_to(text).filter(|unit| ROUNDED.contains(unit) && !self.geographic) {
-                Some(unit) => {
-                    let what = format!(
-                        "`{text}` is rounded to {unit}, as spreadsheets show large numbers; give the {what} its \
-                         decimals (format the cells as numbers and save again)"
-                    );
-                    Err(Error::format(path, &place, what))
-                }
-                None => Ok(value),
-            }
-        };
-        let height = match self.height.and_then(text) {
+        let row = TitledRow { columns: self, path, place: &place, fields };
+        let [east, north] = if self.geographic { ["longitude", "latitude"] } else { ["easting", "northing"] };
+        let height = match self.height.and_then(|c| row.text(c)) {
             Some(text) if heights::says_none(text) => Some(f64::NAN),
-            Some(text) => Some(self.marks.number(text).ok_or_else(|| no_number(text, "height"))?),
+            Some(text) => Some(self.marks.number(text).ok_or_else(|| row.no_number(text, "height"))?),
             None => None,
         };
-        let optional = |column: Option<usize>, what: &str| match column.and_then(text) {
-            Some(text) => text::number(text).map(Some).ok_or_else(|| no_number(text, what)),
-            None => Ok(None),
-        };
-        let unit = |column: Option<usize>| {
-            let titled = column.and_then(|c| Unit::of_accuracy(self.titles.get(c)?));
-            titled.map_or(1.0, |unit| unit.metres)
-        };
-        let sigma = |column: Option<usize>, what: &str| match optional(column, what)? {
-            Some(sigma) if sigma < 0.0 => {
-                Err(Error::format(path, &place, format!("the {what} {sigma} is negative; it is a standard deviation")))
-            }
-            // Zero is what programs write for "unknown".
-            sigma => Ok(sigma.filter(|s| *s > 0.0).map(|s| s * unit(column))),
-        };
-        let said = |column: Option<usize>| column.and_then(text).map(str::to_lowercase);
-        let yes = |text: &str| matches!(text, "1" | "true" | "yes" | "y" | "x" | "ja" | "j" | "check");
-        let check = said(self.role).is_some_and(|role| is_check(&role))
-            || said(self.check).is_some_and(|text| yes(&text))
-            // A marker that is switched off in Metashape is a check point.
-            || said(self.enabled).is_some_and(|text| matches!(text.as_str(), "0" | "false" | "no"));
-        let [east, north] = if self.geographic { ["longitude", "latitude"] } else { ["easting", "northing"] };
         let gcp = Gcp {
-            name: without_apostrophe(self.name.and_then(text).unwrap_or(number)).to_string(),
-            easting: required(self.easting, east, Letter::Longitude)?,
-            northing: required(self.northing, north, Letter::Latitude)?,
+            name: without_apostrophe(self.name.and_then(|c| row.text(c)).unwrap_or(number)).to_string(),
+            easting: row.coordinate(self.easting, east, Letter::Longitude)?,
+            northing: row.coordinate(self.northing, north, Letter::Latitude)?,
             height,
-            sigma_m: match (sigma(self.sigma[0], "accuracy")?, sigma(self.sigma[1], "accuracy")?) {
+            sigma_m: match (row.sigma_m(self.sigma[0], "accuracy")?, row.sigma_m(self.sigma[1], "accuracy")?) {
                 (Some(e), Some(n)) => Some(((e * e + n * n) / 2.0).sqrt()),
                 (one, other) => one.or(other),
             },
-            sigma_height_m: sigma(self.sigma_height, "accuracy of the height")?,
-            role: if check { GcpRole::Check } else { GcpRole::Control },
+            sigma_height_m: row.sigma_m(self.sigma_height, "accuracy of the height")?,
+            role: row.role(),
         };
         let attributes: Vec<(String, String)> =
             self.titles.iter().cloned().zip(fields.iter().map(|field| without_apostrophe(field).to_owned())).collect();
         Ok(RawPoint { pixels: seen(&attributes), ..RawPoint { attributes, ..RawPoint::bare(gcp, place) } })
+    }
+}
+
+/// One row under its columns.
+struct TitledRow<'a> {
+    columns: &'a Columns,
+    path: &'a Path,
+    place: &'a str,
+    fields: &'a [String],
+}
+
+impl<'a> TitledRow<'a> {
+    /// What stands in a column; `None` where nothing does.
+    fn text(&self, column: usize) -> Option<&'a str> {
+        self.fields.get(column).map(|t| t.trim()).filter(|t| !t.is_empty())
+    }
+
+    fn wrong(&self, what: String) -> Error {
+        Error::format(self.path, self.place, what)
+    }
+
+    fn no_number(&self, text: &str, what: &str) -> Error {
+        let remedy = match angle(text) {
+            Some(_) if self.columns.packed.is_some() => {
+                "its title says degrees, minutes and seconds in one number, and minutes and seconds end at 59: \
+                 correct the value or the title"
+            }
+            Some(_) if what != "height" => "it is an angle: call the columns `lon` and `lat`",
+            _ if text::number(text.trim_end_matches(char::is_alphabetic)).is_some() => {
+                "write the unit into the title, as in `Height (m)`"
+            }
+            _ => "correct or remove the row",
+        };
+        self.wrong(format!("`{text}` is no number for the {what}; {remedy}"))
+    }
+
+    fn missing(&self, what: &str) -> Error {
+        let titles = self.columns.titles.len();
+        let mut filled = self.fields.iter().filter(|field| !field.is_empty());
+        match (filled.next(), filled.next()) {
+            (Some(one), None) if titles > 1 => {
+                let shown: String = one.chars().take(60).collect();
+                self.wrong(format!(
+                    "`{shown}` is one cell under {titles} titles: other marks between the columns than in the header, or a \
+                     line end within a cell, which needs quotes; correct or remove the row"
+                ))
+            }
+            _ => self.wrong(format!("the {what} is missing; complete or remove the row")),
+        }
+    }
+
+    fn coordinate(&self, column: usize, what: &str, own: Letter) -> Result<f64> {
+        // What counts larger steps is no coordinate, and refused as such.
+        const ROUNDED: std::ops::RangeInclusive<f64> = 10.0..=1e6;
+        let text = self.text(column).ok_or_else(|| self.missing(what))?;
+        let geographic = self.columns.geographic;
+        if geographic {
+            self.columns.refuse_other_letter(self.path, self.place, (column, text), own)?;
+        }
+        let value = self.columns.number(text).ok_or_else(|| self.no_number(text, what))?;
+        match rounded_to(text).filter(|unit| ROUNDED.contains(unit) && !geographic) {
+            Some(unit) => Err(self.wrong(format!(
+                "`{text}` is rounded to {unit}, as spreadsheets show large numbers; give the {what} its decimals (format \
+                 the cells as numbers and save again)"
+            ))),
+            None => Ok(value),
+        }
+    }
+
+    /// A standard deviation; zero is what programs write for "unknown".
+    fn sigma_m(&self, column: Option<usize>, what: &str) -> Result<Option<f64>> {
+        let Some((column, text)) = column.and_then(|c| Some((c, self.text(c)?))) else { return Ok(None) };
+        let sigma = text::number(text).ok_or_else(|| self.no_number(text, what))?;
+        if sigma < 0.0 {
+            return Err(self.wrong(format!("the {what} {sigma} is negative; it is a standard deviation")));
+        }
+        let unit = self.columns.titles.get(column).and_then(|title| Unit::of_accuracy(title));
+        Ok((sigma > 0.0).then(|| sigma * unit.map_or(1.0, |unit| unit.metres)))
+    }
+
+    fn role(&self) -> GcpRole {
+        let said = |column: Option<usize>| column.and_then(|c| self.text(c)).map(str::to_lowercase);
+        let yes = |text: &str| matches!(text, "1" | "true" | "yes" | "y" | "x" | "ja" | "j" | "check");
+        let check = said(self.columns.role).is_some_and(|role| is_check(&role))
+            || said(self.columns.check).is_some_and(|text| yes(&text))
+            // A marker that is switched off in Metashape is a check point.
+            || said(self.columns.enabled).is_some_and(|text| matches!(text.as_str(), "0" | "false" | "no"));
+        if check { GcpRole::Check } else { GcpRole::Control }
     }
 }
 

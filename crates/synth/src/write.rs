@@ -148,15 +148,8 @@ fn windows(width: u64, height: u64, layout: FileLayout) -> TileGrid {
     }
 }
 
-/// Draws pieces in parallel and writes them in order, drawing the next while the last are written.
-fn stream<T: Sample + GdalType + 'static>(
-    scene: &Scene,
-    spec: &SynthSpec,
-    path: &Path,
-    progress: Progress,
-) -> Result<()> {
-    let alpha = matches!(spec.border, Border::Alpha { .. });
-    let bands = if alpha { 4 } else { 3 };
+/// The file, with what it says of its place and of pixels that hold nothing.
+fn create<T: Sample + GdalType>(scene: &Scene, spec: &SynthSpec, path: &Path, bands: usize) -> Result<gdal::Dataset> {
     let (width, height) = (scene.width(), scene.height());
     let bytes = width * height * bands as u64 * std::mem::size_of::<T>() as u64;
     let gdal = |e: gdal::errors::GdalError| Error::gdal(path, e);
@@ -181,6 +174,20 @@ fn stream<T: Sample + GdalType + 'static>(
             band.set_color_interpretation(ColorInterpretation::AlphaBand).map_err(gdal)?;
         }
     }
+    Ok(dataset)
+}
+
+/// Draws pieces in parallel and writes them in order, drawing the next while the last are written.
+fn stream<T: Sample + GdalType + 'static>(
+    scene: &Scene,
+    spec: &SynthSpec,
+    path: &Path,
+    progress: Progress,
+) -> Result<()> {
+    let alpha = matches!(spec.border, Border::Alpha { .. });
+    let gdal = |e: gdal::errors::GdalError| Error::gdal(path, e);
+    let mut dataset = create::<T>(scene, spec, path, if alpha { 4 } else { 3 })?;
+    let (width, height) = (scene.width(), scene.height());
     let grid = windows(width, height, spec.output.layout);
     let batch = 2 * rayon::current_num_threads() as u64;
     std::thread::scope(|scope| {

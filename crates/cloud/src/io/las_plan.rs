@@ -283,14 +283,7 @@ pub(super) fn make(path: &Path, target: &Target<'_>, schema: &Schema) -> Result<
     if !described.is_empty() {
         vlrs.push(vlr_of("LASF_Spec", 4, "extra bytes", described));
     }
-    let mut head = vec![0; HEADER_BYTES];
-    head[..4].copy_from_slice(b"LASF");
-    head[24..26].copy_from_slice(&[1, 4]);
-    put(&mut head, 26, b"OTHER");
-    put(&mut head, 58, b"autoref-stream");
-    put(&mut head, 94, &(HEADER_BYTES as u16).to_le_bytes());
-    // The coordinate reference system is WKT.
-    head[6] = 0x10;
+    let mut head = begun_head();
     add_crs(path, &mut head, &mut vlrs, target)?;
     let extent = (0..3).map(|axis| target.max[axis] - target.min[axis]).fold(0.0, f64::max);
     let scale = [step(extent, target.source.precision); 3];
@@ -304,6 +297,18 @@ pub(super) fn make(path: &Path, target: &Target<'_>, schema: &Schema) -> Result<
         [0, 1, 2].map(|axis| ((target.min[axis] + target.max[axis]) / 2.0).round() + target.shift[axis].round());
     let recipe = Recipe { class, gps_time, colours, known, extra, tail: None };
     Ok(Plan { head, vlrs, point_format: point_format as u8, record_bytes, scale, offset, recipe: Some(recipe) })
+}
+
+/// A header of LAS 1.4 that says who wrote it and that its coordinate reference system is WKT.
+fn begun_head() -> Vec<u8> {
+    let mut head = vec![0; HEADER_BYTES];
+    head[..4].copy_from_slice(b"LASF");
+    head[6] = 0x10;
+    head[24..26].copy_from_slice(&[1, 4]);
+    put(&mut head, 26, b"OTHER");
+    put(&mut head, 58, b"autoref-stream");
+    put(&mut head, 94, &(HEADER_BYTES as u16).to_le_bytes());
+    head
 }
 
 /// Intensities between other limits are spread over the sixteen bits, as the specification asks.
