@@ -14,6 +14,7 @@ use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags};
 use autoref_raster::{Written, failed_to_write, is_cut_table};
 
 use crate::error::{Error, Result};
+use crate::model::look_through;
 use crate::row_cache::{self, RowCache, Use};
 use autoref_raster::bounded;
 
@@ -29,28 +30,12 @@ pub struct Drawing<'a> {
     pub memory_budget_bytes: u64,
 }
 
-/// Cells that are read at a time.
-const CELLS_AT_A_TIME: usize = 1 << 20;
-
 /// Heights of a model, piece by piece, until `see` has seen enough.
 fn look(model: &Path, dataset: &gdal::Dataset, mut see: impl FnMut(f64) -> ControlFlow<()>) -> Result<()> {
-    let band = dataset.rasterband(1).map_err(|e| Error::gdal(model, e))?;
-    let (nodata, (width, height), (_, block)) = (band.no_data_value(), band.size(), band.block_size());
-    let width_at_a_time = width.clamp(1, CELLS_AT_A_TIME);
-    let rows_at_a_time = (CELLS_AT_A_TIME / width_at_a_time / block.max(1) * block).max(1);
-    for y in (0..height).step_by(rows_at_a_time) {
-        for x in (0..width).step_by(width_at_a_time) {
-            let size = (width_at_a_time.min(width - x), rows_at_a_time.min(height - y));
-            let heights =
-                band.read_as::<f64>((x as isize, y as isize), size, size, None).map_err(|e| Error::gdal(model, e))?;
-            for v in heights.data().iter().filter(|v| v.is_finite() && Some(**v) != nodata) {
-                if see(*v).is_break() {
-                    return Ok(());
-                }
-            }
-        }
-    }
-    Ok(())
+    let nodata = dataset.rasterband(1).map_err(|e| Error::gdal(model, e))?.no_data_value();
+    look_through(model, dataset, |stored| {
+        stored.iter().filter(|v| v.is_finite() && Some(**v) != nodata).try_for_each(|v| see(*v))
+    })
 }
 
 /// The least and the greatest height.
@@ -356,7 +341,7 @@ pub fn check_resolution(model: &Path, side: f64) -> Result<()> {
 /// # Errors
 /// GDAL's own words, when it cannot.
 pub fn warp(source: &Path, out: &Path, options: &[&str]) -> Result<()> {
-    let dataset = crate::model::open_dataset(source)?;
+    let dataset = crate::model::open_stored(source)?;
     let words: Vec<CString> = options.iter().map(|o| c_string(source, o.as_bytes())).collect::<Result<_>>()?;
     let mut pointers: Vec<*mut c_char> = words.iter().map(|w| w.as_ptr().cast_mut()).collect();
     pointers.push(std::ptr::null_mut());

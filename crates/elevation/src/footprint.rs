@@ -68,7 +68,21 @@ pub struct Buffers {
     row_shares: Vec<f64>,
     cells: Vec<f64>,
     along: Vec<(f64, f64)>,
+    /// Footprints of which not all has heights.
+    pub partial: Vec<Partial>,
 }
+
+/// A footprint of which not all has heights.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Partial {
+    /// In the list of heights.
+    pub index: usize,
+    /// Where the middle of the part that has them lies, from the cell's, in cells to the right and down.
+    pub off_px: [f64; 2],
+}
+
+/// A footprint without heights on a smaller share than this is whole.
+const WHOLE: f64 = 1e-6;
 
 impl<'a, H: Heights + ?Sized> Footprints<'a, H> {
     /// The cell at X of `target` gets the mean of `source` over the cell's area moved by (`shift_x`, `shift_y`), in
@@ -90,7 +104,8 @@ impl<'a, H: Heights + ?Sized> Footprints<'a, H> {
         if out.is_empty() {
             return Ok(());
         }
-        let Buffers { columns, column_shares, rows, row_shares, cells, along } = buffers;
+        let Buffers { columns, column_shares, rows, row_shares, cells, along, partial } = buffers;
+        partial.clear();
         self.x.covers(patch.x, patch.width, column_shares, columns);
         self.y.covers(patch.y, patch.height, row_shares, rows);
         let (left, right) = span(columns);
@@ -115,7 +130,8 @@ impl<'a, H: Heights + ?Sized> Footprints<'a, H> {
                     gathered(&row[from..from + cover.count], &column_shares[cover.at..])
                 }));
             }
-            for (line, cover) in lines.chunks_exact_mut(patch.width).zip(covers) {
+            for (row, (line, cover)) in lines.chunks_exact_mut(patch.width).zip(covers).enumerate() {
+                let first_index = (from + row) * patch.width;
                 let first = (cover.first - top) as usize * patch.width;
                 for (x, value) in line.iter_mut().enumerate() {
                     let (mut sum, mut whole) = (0.0, 0.0);
@@ -127,10 +143,45 @@ impl<'a, H: Heights + ?Sized> Footprints<'a, H> {
                     if whole >= 0.5 {
                         *value = sum / whole;
                     }
+                    if (0.5..1.0 - WHOLE).contains(&whole) {
+                        let shares = (&column_shares[columns[x].at..], &row_shares[cover.at..]);
+                        let from = (cover.first - top) as usize * width + (columns[x].first - left) as usize;
+                        let middle = self.middle_of((&cells[from..], width), (columns[x].count, cover.count), shares);
+                        partial.push(Partial { index: first_index + x, off_px: middle });
+                    }
                 }
             }
         }
         Ok(())
+    }
+}
+
+impl<H: Heights + ?Sized> Footprints<'_, H> {
+    /// The middle of what has heights of a footprint, from the footprint's own, in cells of the target; `cells` are the
+    /// source's from its first on, with their stride.
+    fn middle_of(
+        &self,
+        (cells, stride): (&[f64], usize),
+        (columns, rows): (usize, usize),
+        (column_shares, row_shares): (&[f64], &[f64]),
+    ) -> [f64; 2] {
+        let (mut x, mut y, mut all) = (0.0, 0.0, 0.0);
+        let mut down = 0.0;
+        for (j, row_share) in row_shares[..rows].iter().enumerate() {
+            let mut across = 0.0;
+            for (i, column_share) in column_shares[..columns].iter().enumerate() {
+                if !cells[j * stride + i].is_nan() {
+                    let share = row_share * column_share;
+                    x += share * (across + 0.5 * column_share);
+                    y += share * (down + 0.5 * row_share);
+                    all += share;
+                }
+                across += column_share;
+            }
+            down += row_share;
+        }
+        // Shares run as the source's cells do, which may be against the target's.
+        [self.x.step.signum() * (x / all - 0.5), self.y.step.signum() * (y / all - 0.5)]
     }
 }
 
@@ -191,6 +242,26 @@ mod tests {
             for (k, value) in part.iter().enumerate() {
                 assert_eq!(value.to_bits(), whole[(3 + k / 4) * 9 + 2 + k % 4].to_bits());
             }
+        }
+    }
+
+    /// A cell that the source covers by three fifths: its mean is that of a plane at the middle of that part.
+    #[test]
+    fn the_middle_of_a_part_is_told() {
+        let grid = Grid { x0: 4.0, y0: 10.0, step_x: 1.0, step_y: -1.0, width: 16, height: 7 };
+        let values = (0..7).flat_map(|j| (0..16).map(move |i| f64::from(i) + 4.5 + 10.0 * (9.5 - f64::from(j))));
+        let memory = MemoryHeights::new(grid, values.collect());
+        for (y0, step_y) in [(10.0, -10.0), (0.0, 10.0)] {
+            let target = Grid { x0: 0.0, y0, step_x: 10.0, step_y, width: 2, height: 1 };
+            let (mut out, mut buffers) = (Vec::new(), Buffers::default());
+            let coarse = Footprints::new(&memory, target, (0.0, 0.0));
+            coarse.read_with(Patch { x: 0, y: 0, width: 2, height: 1 }, &mut buffers, &mut out).expect("memory");
+            // Rows from 10 down to 3 have heights: their middle is 6.5.
+            let down = if step_y < 0.0 { -0.15 } else { 0.15 };
+            assert_eq!(buffers.partial.len(), 1, "of the first three fifths of seven tenths are too little");
+            let Partial { index, off_px } = buffers.partial[0];
+            assert!(index == 1 && off_px[0].abs() < 1e-12 && (off_px[1] - down).abs() < 1e-12, "{off_px:?}");
+            assert!((out[1] - (15.0 + 10.0 * 6.5)).abs() < 1e-9, "{out:?}");
         }
     }
 

@@ -1,5 +1,6 @@
 //! Elevation models in files: band 1 of whatever GDAL opens, as heights in metres.
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -284,36 +285,128 @@ pub fn open_dataset(path: &Path) -> Result<Dataset> {
     open_named(path, path)
 }
 
-/// Opens a model for GDAL's own functions, which know nothing of a band's scale and offset: where it has them, through
-/// a virtual raster that applies them.
+/// Cells that are read at a time.
+const CELLS_AT_A_TIME: usize = 1 << 20;
+
+/// What a raster's first band stores, piece by piece, until `see` has seen enough.
+pub(crate) fn look_through(
+    path: &Path,
+    dataset: &Dataset,
+    mut see: impl FnMut(&[f64]) -> ControlFlow<()>,
+) -> Result<()> {
+    let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
+    let ((width, height), (_, block)) = (band.size(), band.block_size());
+    let width_at_a_time = width.clamp(1, CELLS_AT_A_TIME);
+    let rows_at_a_time = (CELLS_AT_A_TIME / width_at_a_time / block.max(1) * block).max(1);
+    for y in (0..height).step_by(rows_at_a_time) {
+        for x in (0..width).step_by(width_at_a_time) {
+            let size = (width_at_a_time.min(width - x), rows_at_a_time.min(height - y));
+            let at = (x as isize, y as isize);
+            let stored = band.read_as::<f64>(at, size, size, None).map_err(|e| Error::gdal(path, e))?;
+            if see(stored.data()).is_break() {
+                return Ok(());
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Opens a model for GDAL's own functions, which know nothing of a band's scale and offset, and compute with NaN where
+/// another value says that there is no height: through a virtual raster that applies the former and leaves out the
+/// latter.
 ///
 /// # Errors
 /// As [`open_dataset`].
 pub fn open_heights(path: &Path) -> Result<Dataset> {
     /// Nothing on Earth is as high.
     const VOID: f64 = -1e30;
-    let dataset = open_dataset(path)?;
+    let dataset = open_stored(path)?;
     let Ok(band) = dataset.rasterband(1) else { return Ok(dataset) };
     let (ratio, offset) = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
     if (ratio, offset) == (1.0, 0.0) {
         return Ok(dataset);
     }
+    let stored = match dataset.driver().short_name() == "VRT" && dataset.metadata_item(LEFT_OUT, "").is_some() {
+        true => xml_without_nan(path, &dataset),
+        false => path.to_string_lossy().into_owned(),
+    };
+    let nodata = band.no_data_value().map_or(String::new(), |v| format!("<NODATA>{}</NODATA>", number(v)));
+    let source = format!("{nodata}<ScaleOffset>{offset:.17e}</ScaleOffset><ScaleRatio>{ratio:.17e}</ScaleRatio>");
+    let band = virtual_band(&dataset, 1, "Float64", (VOID, ""), (&stored, &source));
+    open_named(Path::new(&virtual_raster(&dataset, &band)), path)
+}
+
+/// Opens a model as it is stored, for GDAL's own functions; cells of NaN are without a height whatever its nodata.
+///
+/// # Errors
+/// As [`open_dataset`].
+pub fn open_stored(path: &Path) -> Result<Dataset> {
+    let dataset = open_dataset(path)?;
+    let Ok(band) = dataset.rasterband(1) else { return Ok(dataset) };
+    if !band.band_type().is_floating() || band.no_data_value().is_some_and(f64::is_nan) {
+        return Ok(dataset);
+    }
+    let mut holds_nan = false;
+    look_through(path, &dataset, |stored| {
+        holds_nan = stored.iter().any(|v| v.is_nan());
+        if holds_nan { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    })?;
+    if !holds_nan {
+        return Ok(dataset);
+    }
+    open_named(Path::new(&xml_without_nan(path, &dataset)), path)
+}
+
+/// An item of the metadata of virtual rasters that leave NaN out.
+const LEFT_OUT: &str = "LEFT_OUT";
+
+/// A virtual raster of all bands, in which NaN is the value that says that there is no height.
+fn xml_without_nan(path: &Path, dataset: &Dataset) -> String {
+    let name = path.to_string_lossy();
+    let bands = (1..=dataset.raster_count()).filter_map(|index| {
+        let band = dataset.rasterband(index).ok()?;
+        let (offset, scale) = (band.offset().unwrap_or(0.0), band.scale().unwrap_or(1.0));
+        let unit = escaped(&band.unit());
+        let said = format!("<UnitType>{unit}</UnitType><Offset>{offset:.17e}</Offset><Scale>{scale:.17e}</Scale>");
+        let nodata = band.no_data_value().unwrap_or(f64::NAN);
+        let kind = band.band_type().name();
+        Some(virtual_band(dataset, index, &kind, (nodata, &said), (&name, "<NODATA>nan</NODATA>")))
+    });
+    let left_out = format!("<Metadata><MDI key=\"{LEFT_OUT}\">NaN</MDI></Metadata>");
+    virtual_raster(dataset, &(left_out + &bands.collect::<String>()))
+}
+
+fn number(v: f64) -> String {
+    if v.is_nan() { "nan".into() } else { format!("{v:.17e}") }
+}
+
+fn virtual_raster(dataset: &Dataset, within: &str) -> String {
     let (width, height) = dataset.raster_size();
-    let whole = format!("xOff=\"0\" yOff=\"0\" xSize=\"{width}\" ySize=\"{height}\"");
     let place = dataset.geo_transform().map_or(String::new(), |t| {
         format!("<GeoTransform>{}</GeoTransform>", t.map(|v| format!("{v:.17e}")).join(","))
     });
-    let nodata = band.no_data_value().map_or(String::new(), |v| format!("<NODATA>{v:.17e}</NODATA>"));
-    let xml = format!(
-        "<VRTDataset rasterXSize=\"{width}\" rasterYSize=\"{height}\"><SRS>{}</SRS>{place}\
-         <VRTRasterBand dataType=\"Float64\" band=\"1\"><NoDataValue>{VOID:e}</NoDataValue><ComplexSource>\
-         <SourceFilename relativeToVRT=\"0\">{}</SourceFilename><SourceBand>1</SourceBand><SrcRect {whole}/>\
-         <DstRect {whole}/>{nodata}<ScaleOffset>{offset:.17e}</ScaleOffset><ScaleRatio>{ratio:.17e}</ScaleRatio>\
-         </ComplexSource></VRTRasterBand></VRTDataset>",
-        escaped(&dataset.projection()),
-        escaped(&path.to_string_lossy()),
-    );
-    open_named(Path::new(&xml), path)
+    let reference = escaped(&dataset.projection());
+    format!(
+        "<VRTDataset rasterXSize=\"{width}\" rasterYSize=\"{height}\"><SRS>{reference}</SRS>{place}{within}</VRTDataset>"
+    )
+}
+
+/// A band that is made of one of a stored raster: its nodata and what else is said of it, and where it comes from.
+fn virtual_band(
+    dataset: &Dataset,
+    index: usize,
+    kind: &str,
+    (nodata, said): (f64, &str),
+    (stored, how): (&str, &str),
+) -> String {
+    let (width, height) = dataset.raster_size();
+    let whole = format!("xOff=\"0\" yOff=\"0\" xSize=\"{width}\" ySize=\"{height}\"");
+    let (nodata, stored) = (number(nodata), escaped(stored));
+    format!(
+        "<VRTRasterBand dataType=\"{kind}\" band=\"{index}\"><NoDataValue>{nodata}</NoDataValue>{said}<ComplexSource>\
+         <SourceFilename relativeToVRT=\"0\">{stored}</SourceFilename><SourceBand>{index}</SourceBand><SrcRect {whole}/>\
+         <DstRect {whole}/>{how}</ComplexSource></VRTRasterBand>"
+    )
 }
 
 /// What is decoded at once of a raster; a file of a kilobyte can name a block of gigabytes.

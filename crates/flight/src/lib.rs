@@ -17,6 +17,7 @@ pub mod read;
 pub mod refine;
 pub mod render;
 pub mod resect;
+pub mod shape;
 pub mod start;
 pub mod statistics;
 pub mod ties;

@@ -68,7 +68,7 @@ impl Method {
         matches!(self, Method::Auto | Method::Tilt)
     }
 
-    fn moves(self) -> bool {
+    pub(crate) fn moves(self) -> bool {
         !matches!(self, Method::Bias | Method::Tilt)
     }
 }

@@ -84,7 +84,11 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
     let Some(state) = fitter.descend(&levels, starts(full, &levels, options)?, free)? else {
         let sloping =
             fit::pass(&levels[0].pair(full), &State::default(), Gather::Residuals, flats, options.means)?.sloping;
-        return nothing(if sloping < FEWEST_CELLS { FEW } else { ONE_ASPECT });
+        return nothing(match sloping < FEWEST_CELLS {
+            true if free.moves => FEW,
+            true => FEW_COMMON,
+            false => ONE_ASPECT,
+        });
     };
     if options.method == Method::Tilt {
         free = free.with(options.surface);
@@ -125,6 +129,7 @@ pub fn run(full: &Pair<'_>, options: &Options<'_>, flats: Flats) -> Result<Found
 
 const FEW: &str =
     "too few cells with a slope are common to both models; --method bias gives the height alone, without a shift";
+const FEW_COMMON: &str = "fewer than 50 cells with heights are common to both models";
 const ONE_ASPECT: &str = "the common ground slopes in one direction only, along which a shift and a height are the \
                           same; --method bias gives the height alone";
 const FLAT: &str =

@@ -16,7 +16,7 @@ impl Extent {
     pub(super) fn add(&mut self, difference: f32, cell_m2: f64) {
         let area = (cell_m2 * AREA_UNIT).round() as i128;
         self.area += area;
-        self.volume += area * (f64::from(difference) * HEIGHT_UNIT) as i64 as i128;
+        self.volume += area * (f64::from(difference) * HEIGHT_UNIT).round() as i64 as i128;
     }
 
     pub(super) fn merge(&mut self, other: &Extent) {

@@ -100,6 +100,7 @@ pub struct Summary {
     /// What was subtracted from what.
     pub difference: &'static str,
     pub grid: String,
+    /// Between A's cells, or `mean`: of those under each of B's.
     pub resampling: &'static str,
     pub heights: String,
     /// What a person should look at.
@@ -389,12 +390,7 @@ impl CompareJob<'_> {
             b: self.b.display().to_string(),
             difference: "A - B",
             grid: "B".into(),
-            resampling: match self.resampling {
-                Interpolation::Nearest => "nearest",
-                Interpolation::Bilinear => "bilinear",
-                Interpolation::Cubic => "cubic",
-                Interpolation::Lagrange => "lagrange",
-            },
+            resampling: scan.a.way(self.resampling),
             heights: couple.heights.to_string(),
             warnings: [couple.doubtful_units.clone(), first.zeros.notes(all.n, self.a, self.b)].concat(),
             cells: scan.grid.width * scan.grid.height,

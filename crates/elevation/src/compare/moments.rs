@@ -25,7 +25,7 @@ pub(super) struct Term {
 impl Term {
     #[inline]
     pub(super) fn of(value: f32, within_m: f64) -> Term {
-        let fixed = (f64::from(value) * UNIT) as i64;
+        let fixed = (f64::from(value) * UNIT).round() as i64;
         let square = i128::from(fixed) * i128::from(fixed);
         Term { value, fixed, square, within: f64::from(value).abs() <= within_m }
     }

@@ -1,7 +1,7 @@
 //! Both models, cell by cell on B's grid.
 
 use crate::error::Result;
-use crate::footprint::{self, Footprints};
+use crate::footprint::{self, Footprints, Partial};
 use crate::grid::{Grid, GroundUnit};
 use crate::resample::{Interpolation, Resampled, Scratch};
 use crate::source::{Heights, Patch};
@@ -44,6 +44,17 @@ impl<'a> OnGrid<'a> {
             OnGrid::Under(Footprints::new(a, grid, (0.0, 0.0)))
         } else {
             OnGrid::Between(Resampled::new(a, grid, (0.0, 0.0), resampling))
+        }
+    }
+
+    /// How A's heights come onto B's grid: the word of `--resampling`, or `mean`.
+    pub(super) fn way(&self, resampling: Interpolation) -> &'static str {
+        match (self, resampling) {
+            (OnGrid::Under(_), _) => "mean",
+            (_, Interpolation::Nearest) => "nearest",
+            (_, Interpolation::Bilinear) => "bilinear",
+            (_, Interpolation::Cubic) => "cubic",
+            (_, Interpolation::Lagrange) => "lagrange",
         }
     }
 
@@ -120,6 +131,9 @@ impl Scan<'_> {
         self.a.read(window.into(), buffers)?;
         let stride = width + 2;
         self.b.read(Patch { x: x - 1, y: y - 1, width: stride, height: height + 2 }, &mut buffers.b)?;
+        if matches!(self.a, OnGrid::Under(_)) {
+            centre_partial(buffers, (width, stride));
+        }
         buffers.zones.clear(width);
         let (grid, b) = (&self.grid, &buffers.b);
         for row in 0..height {
@@ -169,6 +183,26 @@ impl Scan<'_> {
             let north = grid.y0 + (y as f64 + 0.5) * grid.step_y;
             zones.row_sets(north, (grid.x0 + (x as f64 + 0.5) * grid.step_x, grid.step_x), cells, out);
         }
+    }
+}
+
+/// Brings means over parts of cells to the cells' middles, by how B lies there: else B's height of the whole cell would
+/// be subtracted from that of a part of it. Where B does not tell, the cell is left out. B's cells begin one row and
+/// column before A's.
+fn centre_partial(buffers: &mut Buffers, (width, stride): (usize, usize)) {
+    let Buffers { under, a, b, .. } = buffers;
+    for Partial { index, off_px } in &under.partial {
+        let at = (index / width + 1) * stride + index % width + 1;
+        let rise = |step: usize| {
+            let [before, here, after] = [b[at - step], b[at], b[at + step]];
+            match (before.is_nan(), after.is_nan()) {
+                (false, false) => 0.5 * (after - before),
+                (true, false) => after - here,
+                (false, true) => here - before,
+                (true, true) => f64::NAN,
+            }
+        };
+        a[*index] -= off_px[0] * rise(1) + off_px[1] * rise(stride);
     }
 }
 

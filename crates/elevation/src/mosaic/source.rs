@@ -8,7 +8,7 @@ use gdal::{Dataset, Metadata};
 
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
-use crate::grid::Grid;
+use crate::grid::{Grid, GroundUnit};
 use crate::model::open_dataset;
 use crate::output;
 use crate::window::Window;
@@ -34,6 +34,8 @@ pub struct Source {
     /// Red, green, blue and alpha of the numbers of a palette.
     pub palette: Vec<[i16; 4]>,
     pub wkt: String,
+    /// Of its map coordinates.
+    unit: GroundUnit,
     /// Its cells are cells of the mosaic.
     pub on_grid: bool,
     /// Sorts by time.
@@ -77,6 +79,7 @@ impl Source {
             grid,
             bands: dataset.raster_count(),
             kind: band.band_type(),
+            unit: unit_of(&dataset),
             wkt: dataset.projection(),
             on_grid: true,
             date: date_of(path, &dataset),
@@ -125,27 +128,35 @@ impl Source {
         Some(Window::new(x, y, width, height))
     }
 
-    fn each(&self, mosaic: &Grid, window: Window, mut see: impl FnMut(f64, f64) -> f64) -> Vec<f64> {
+    /// Of each cell's centre, with the length of a unit of x there, in units of y.
+    fn each(&self, mosaic: &Grid, window: Window, mut see: impl FnMut(f64, f64, f64) -> f64) -> Vec<f64> {
         let mut out = Vec::with_capacity(window.area() as usize);
         for row in window.y..window.bottom() {
             let y = mosaic.y0 + (row as f64 + 0.5) * mosaic.step_y;
+            let ratio = match self.unit {
+                GroundUnit::Projected { .. } => 1.0,
+                GroundUnit::Geographic { .. } => {
+                    let (across, along) = self.unit.metres_per_unit(y);
+                    across / along
+                }
+            };
             for column in window.x..window.right() {
-                out.push(see(mosaic.x0 + (column as f64 + 0.5) * mosaic.step_x, y));
+                out.push(see(mosaic.x0 + (column as f64 + 0.5) * mosaic.step_x, y, ratio));
             }
         }
         out
     }
 
-    /// From the source's centre, in units of the CRS.
+    /// From the source's centre, in units of y.
     pub fn distances(&self, mosaic: &Grid, window: Window) -> Vec<f64> {
         let (x0, y0) = self.grid.centre();
-        self.each(mosaic, window, |x, y| (x - x0).hypot(y - y0))
+        self.each(mosaic, window, |x, y, ratio| (ratio * (x - x0)).hypot(y - y0))
     }
 
-    /// From the nearest edge of the source's grid; negative beyond it.
+    /// From the nearest edge of the source's grid, in units of y; negative beyond it.
     pub fn edge_distances(&self, mosaic: &Grid, window: Window) -> Vec<f64> {
         let [west, south, east, north] = self.grid.bounds();
-        self.each(mosaic, window, |x, y| (x - west).min(east - x).min(y - south).min(north - y))
+        self.each(mosaic, window, |x, y, ratio| (ratio * (x - west).min(east - x)).min(y - south).min(north - y))
     }
 
     /// Brings the grid to the mosaic's where it is nearly there.
@@ -163,6 +174,12 @@ impl Source {
             (self.grid.step_x, self.grid.step_y) = (mosaic.step_x, mosaic.step_y);
         }
     }
+}
+
+/// Degrees where the CRS counts in them; of others the length of the unit plays no part.
+fn unit_of(dataset: &Dataset) -> GroundUnit {
+    let geographic = dataset.spatial_ref().is_ok_and(|reference| reference.is_geographic());
+    if geographic { GroundUnit::WGS84 } else { GroundUnit::METRES }
 }
 
 /// A date that sorts: of the metadata, else eight digits of the name, else the file's own.

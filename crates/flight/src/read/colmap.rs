@@ -188,11 +188,7 @@ impl Raw {
             ties.push(TiePoint { xyz: Vector3::from(xyz), seen });
         }
         let cameras = self.cameras.into_iter().map(|c| c.1).collect();
-        let mut notes = Vec::new();
-        if !["bin", "txt"].iter().any(|e| folder.join(format!("points3D.{e}")).is_file()) {
-            notes.push("the model has no points3D: no tie joins its frames".to_string());
-        }
-        Ok(Reconstruction { cameras, photographs, ties, notes, ..Reconstruction::default() })
+        Ok(Reconstruction { cameras, photographs, ties, ..Reconstruction::default() })
     }
 }
 

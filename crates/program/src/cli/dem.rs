@@ -108,7 +108,8 @@ struct CompareArgs {
     /// Polygons with statistics and volumes of their own: glaciers, flight lines.
     #[arg(long, value_name = "FILE")]
     zones: Option<PathBuf>,
-    /// How A is brought onto B's grid.
+    /// How A is brought onto B's grid. Of an A with cells finer than B's by more than 5 % it is the mean over each of
+    /// B's cells, whatever is said here.
     #[arg(long, value_enum, default_value = "bilinear")]
     resampling: ResamplingArg,
     /// Lower limits of the slope classes, per cent.

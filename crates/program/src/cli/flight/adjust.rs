@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
-use autoref_flight::adjust::{AdjustOptions, GroundPoint, Role, RoughPose, adjust, on_ground};
+use autoref_flight::adjust::{AdjustOptions, Adjustment, GroundPoint, Role, RoughPose, adjust, on_ground};
 use autoref_flight::read::tables::CameraRow;
 use autoref_flight::read::{self, Reconstruction};
+use autoref_flight::shape::ties_of_poses;
 use autoref_flight::world::World;
 use autoref_raster::atomic::Existing;
 use autoref_raster::crs::Crs;
@@ -55,6 +56,23 @@ pub struct AdjustArgs {
     /// Print the result as one JSON document on standard output.
     #[arg(long)]
     pub json: bool,
+}
+
+/// What a pose's rays are taken to be worth where no ties were measured, pixels.
+const SIGMA_OF_POSES_PX: f64 = 1.0;
+const NO_TIES: &str = "the reconstruction holds no ties: its poses say how its frames lie to each other, as if ties were \
+                       good to --sigma-tie (1 px), and its interior orientation is held";
+
+const NOTHING_COMMON: &str = "the reconstruction holds no ties, and its frames see nothing in common: each stands on its \
+                              own points";
+
+/// Takes out what is said of ties, where all were made of poses.
+fn forget_ties(found: &mut Adjustment) {
+    (found.ties, found.dropped_ties) = (0, 0);
+    (found.tie_rms_px, found.tie_mean_px) = (f64::NAN, f64::NAN);
+    for photograph in &mut found.photographs {
+        (photograph.ties, photograph.rms_px) = (0, f64::NAN);
+    }
 }
 
 /// Where the block comes to stand: its points and rough poses in the world's frame, and what is to be said of them.
@@ -173,10 +191,25 @@ pub fn run(args: &AdjustArgs) -> Result<ExitCode> {
     let interior = interior(&args.free, "--free")?;
     let mut model = read::reconstruction(&args.reconstruction)?;
     model.drop_unused_cameras();
-    let Datum { control, world, points, rough, notes, said } = Datum::of(args, &model)?;
+    let has_ties = !model.ties.is_empty();
+    let Datum { control, world, points, rough, mut notes, said } = Datum::of(args, &model)?;
+    if !has_ties {
+        model.ties = ties_of_poses(&model);
+    }
+    let (sigma_tie_px, interior) = match (has_ties, model.ties.is_empty()) {
+        (true, _) => (args.sigma_tie, interior),
+        (false, true) => {
+            notes.push(NOTHING_COMMON.to_string());
+            (args.sigma_tie, interior)
+        }
+        (false, false) => {
+            notes.push(NO_TIES.to_string());
+            (Some(args.sigma_tie.unwrap_or(SIGMA_OF_POSES_PX)), vec![])
+        }
+    };
     let options = AdjustOptions {
         sigma_image_px: args.how.sigma_image,
-        sigma_tie_px: args.sigma_tie,
+        sigma_tie_px,
         interior,
         rough,
         ..AdjustOptions::default()
@@ -184,6 +217,9 @@ pub fn run(args: &AdjustArgs) -> Result<ExitCode> {
     let steps = Steps::new("adjusting", 0);
     let mut found = adjust(&model, &points, &options)?;
     drop(steps);
+    if !has_ties {
+        forget_ties(&mut found);
+    }
     found.notes.extend(notes);
     let (poses, ground) = (found.photographs.iter().map(|p| &p.pose), points.iter().map(|p| &p.xyz));
     found.notes.extend(plausible::below_ground(poses, ground, &world));

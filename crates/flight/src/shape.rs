@@ -1,0 +1,69 @@
+//! The shape of a block that holds no ties: MicMac's orientations, a cameras.json, models without points. Its poses
+//! know how its frames lie to each other; as image points of made points, seen where the poses see them, this counts
+//! in an adjustment as measured ties do, while datum and scale stay free.
+
+use nalgebra::Vector3;
+
+use crate::read::{Reconstruction, TiePoint};
+
+/// Places along each side of a frame that rays go through.
+const PLACES: usize = 3;
+/// How far along a ray points are made, in distances to the nearest other frame: ground as it is seen with much and
+/// with little overlap, and far behind it, where frames that share no ground look at the same points.
+const DEPTHS: [f64; 4] = [2.0, 4.0, 8.0, 16.0];
+/// Frames that see one point, at most.
+const MOST_FRAMES: usize = 8;
+
+/// Points that the frames of a block see as their poses say; none of fewer than two frames.
+pub fn ties_of_poses(model: &Reconstruction) -> Vec<TiePoint> {
+    let centres: Vec<Vector3<f64>> = model.photographs.iter().map(|p| p.pose.centre).collect();
+    let Some(step) = typical_step(&centres) else { return vec![] };
+    let mut ties = vec![];
+    for photograph in &model.photographs {
+        let camera = &model.cameras[photograph.camera];
+        for place in 0..PLACES * PLACES {
+            let share = |k: usize| (k as f64 + 0.5) / PLACES as f64;
+            let pixel = [share(place % PLACES) * camera.size_px[0], share(place / PLACES) * camera.size_px[1]];
+            let Some(ray) = camera.ray(pixel) else { continue };
+            let direction = photograph.pose.rotation.transpose() * Vector3::from(ray);
+            for depth in DEPTHS {
+                let xyz = photograph.pose.centre + direction * (depth * step);
+                let seen = seen_nearest(model, &xyz, &photograph.pose.centre);
+                if seen.len() >= 2 {
+                    ties.push(TiePoint { xyz, seen });
+                }
+            }
+        }
+    }
+    ties
+}
+
+/// The frames nearest to a place that see a point, and where.
+fn seen_nearest(model: &Reconstruction, xyz: &Vector3<f64>, from: &Vector3<f64>) -> Vec<(usize, [f64; 2])> {
+    let mut all: Vec<(f64, usize, [f64; 2])> = model
+        .photographs
+        .iter()
+        .enumerate()
+        .filter_map(|(i, p)| {
+            let camera = &model.cameras[p.camera];
+            let at = p.pose.to_camera(xyz);
+            let reached = at.z > 0.0 && at.x.hypot(at.y) <= camera.reach() * at.z;
+            let pixel = camera.project(at.into()).filter(|pixel| reached && camera.contains(*pixel))?;
+            Some(((p.pose.centre - from).norm(), i, pixel))
+        })
+        .collect();
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    // The nearest half, and of the others some as far as any: what holds a long block straight.
+    let half = MOST_FRAMES / 2;
+    let rest = all.len().saturating_sub(half);
+    let kept = |k: usize| k < half || (k - half) * half / rest.max(1) != (k + 1 - half) * half / rest.max(1);
+    all.iter().enumerate().filter(|(k, _)| kept(*k)).map(|(_, (_, i, pixel))| (*i, *pixel)).collect()
+}
+
+/// The median distance from a frame to the nearest other one that does not stand where it does.
+fn typical_step(centres: &[Vector3<f64>]) -> Option<f64> {
+    let nearest = |c: &Vector3<f64>| centres.iter().map(|o| (o - c).norm()).filter(|d| *d > 0.0).min_by(f64::total_cmp);
+    let mut steps: Vec<f64> = centres.iter().filter_map(nearest).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.get(steps.len() / 2).copied()
+}
