@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 use super::Candidate;
 use super::even;
-use super::figure::{Figure, figure, figure_in_part, may_be_figure, may_be_part_of_figure};
+use super::figure::{Figure, figure, figure_in_part, may_be_figure, may_be_part_of_figure, middle_if_field};
 use super::fit::Fit;
 use super::gates::{Gates, centroid};
 use super::jpeg_fit::{Refined, refine};
@@ -391,6 +391,10 @@ pub(super) fn candidate(
     }
     if !is_even_enough(&evidence, profile) {
         return None;
+    }
+    // What looks like one of a figure's two fields may be that, though too small or too worn to show it.
+    if let Some(middle) = middle_if_field(scene).filter(|_| profile.examine.centre == CentreMode::Fit) {
+        evidence = widen(evidence, apart(middle.x, middle.y));
     }
     Some(Candidate {
         centre: PixelPoint { x: evidence.centre.0, y: evidence.centre.1 },

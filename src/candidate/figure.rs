@@ -176,13 +176,44 @@ pub(super) fn figure_in_part(scene: &Scene<'_>, profile: &Profile) -> Figure {
 /// The own paint, with the other field where just one piece of about its size touches it. In a crowd of marks each
 /// stands for itself.
 fn with_other_field(scene: &Scene<'_>) -> PixelSet {
+    match &other_fields(scene, touch_px(&scene.own), MOST_UNLIKE)[..] {
+        [piece] => scene.own.or(piece),
+        _ => scene.own.clone(),
+    }
+}
+
+/// Paint of the own size, but for a factor, so near to it; none where larger paint is too. Specks do not count: ground of
+/// the paint's colour has them everywhere.
+fn other_fields(scene: &Scene<'_>, reach_px: usize, most_unlike: f64) -> Vec<PixelSet> {
+    /// Specks are smaller than the own paint by more than this factor.
+    const SPECK: f64 = 6.0;
     let own = scene.own.count() as f64;
-    let near = scene.other.and(&scene.own.grown(touch_px(&scene.own)));
-    let Some(first) = near.first() else { return scene.own.clone() };
-    let piece = scene.other.piece(first);
-    let size = piece.count() as f64;
-    let alike = size < MOST_UNLIKE * own && (own < MOST_UNLIKE * size || piece.at_edge());
-    if alike && near.minus(&piece).is_empty() { scene.own.or(&piece) } else { scene.own.clone() }
+    let mut near = scene.other.and(&scene.own.grown(reach_px));
+    let mut fields = vec![];
+    while let Some(first) = near.first() {
+        let piece = scene.other.piece(first);
+        near = near.minus(&piece);
+        let size = piece.count() as f64;
+        if piece.at_edge() || SPECK * size > own {
+            if size >= most_unlike * own || !piece.at_edge() && own >= most_unlike * size {
+                return vec![];
+            }
+            fields.push(piece);
+        }
+    }
+    fields
+}
+
+/// Where the middle of a figure lies, from that of the own paint, if this is one of its two fields: paint of about its
+/// size touches it, and no other does. In pixels to the right and down.
+pub(super) fn middle_if_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
+    /// Of fields of a few pixels blur leaves more or less, and draws them further apart.
+    const MOST_UNLIKE_PART: f64 = 3.0;
+    const NEAR_PX: (f64, f64) = (4.0, 9.0);
+    let reach = (scene.own.count() as f64).sqrt().clamp(NEAR_PX.0, NEAR_PX.1);
+    let fields = other_fields(scene, reach as usize, MOST_UNLIKE_PART);
+    let [other] = &fields[..] else { return None };
+    Some((centroid(other, scene.width) - centroid(&scene.own, scene.width)) / 2.0)
 }
 
 /// How far from a field paint touches it.
