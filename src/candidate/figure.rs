@@ -176,22 +176,22 @@ pub(super) fn figure_in_part(scene: &Scene<'_>, profile: &Profile) -> Figure {
 /// The own paint, with the other field where just one piece of about its size touches it. In a crowd of marks each
 /// stands for itself.
 fn with_other_field(scene: &Scene<'_>) -> PixelSet {
-    match &other_fields(scene, touch_px(&scene.own), MOST_UNLIKE)[..] {
+    match &other_fields(&scene.own, &scene.other, touch_px(&scene.own), MOST_UNLIKE)[..] {
         [piece] => scene.own.or(piece),
         _ => scene.own.clone(),
     }
 }
 
-/// Paint of the own size, but for a factor, so near to it; none where larger paint is too. Specks do not count: ground of
-/// the paint's colour has them everywhere.
-fn other_fields(scene: &Scene<'_>, reach_px: usize, most_unlike: f64) -> Vec<PixelSet> {
+/// Pieces of other paint of the own size, but for a factor, so near to it; none where a larger one is too. Specks do not
+/// count: ground of the paint's colour has them everywhere.
+fn other_fields(own: &PixelSet, other: &PixelSet, reach_px: usize, most_unlike: f64) -> Vec<PixelSet> {
     /// Specks are smaller than the own paint by more than this factor.
     const SPECK: f64 = 6.0;
-    let own = scene.own.count() as f64;
-    let mut near = scene.other.and(&scene.own.grown(reach_px));
+    let mut near = other.and(&own.grown(reach_px));
+    let own = own.count() as f64;
     let mut fields = vec![];
     while let Some(first) = near.first() {
-        let piece = scene.other.piece(first);
+        let piece = other.piece(first);
         near = near.minus(&piece);
         let size = piece.count() as f64;
         if piece.at_edge() || SPECK * size > own {
@@ -205,14 +205,25 @@ fn other_fields(scene: &Scene<'_>, reach_px: usize, most_unlike: f64) -> Vec<Pix
 }
 
 /// Where the middle of a figure lies, from that of the own paint, if this is one of its two fields: paint of about its
-/// size touches it, and no other does. In pixels to the right and down.
+/// size touches it, the largest such for the other. In pixels to the right and down.
 pub(super) fn middle_if_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
     /// Of fields of a few pixels blur leaves more or less, and draws them further apart.
     const MOST_UNLIKE_PART: f64 = 3.0;
     const NEAR_PX: (f64, f64) = (4.0, 9.0);
     let reach = (scene.own.count() as f64).sqrt().clamp(NEAR_PX.0, NEAR_PX.1);
-    let fields = other_fields(scene, reach as usize, MOST_UNLIKE_PART);
-    let [other] = &fields[..] else { return None };
+    if scene.other.and(&scene.own.grown(reach as usize)).is_empty() {
+        return None;
+    }
+    // Ground of the paint's colour may join the other field: what is as different from the own paint as ground is, is no
+    // field.
+    let (paint, ground) = (scene.plateau(), scene.ring_ground()?.mean);
+    let is_paint = |i: usize| {
+        let colour = scene.colour(i);
+        scene.other.has(i) && (colour - paint).norm_squared() < (colour - ground).norm_squared()
+    };
+    let other = PixelSet::from_fn(scene.width, scene.height, is_paint);
+    let fields = other_fields(&scene.own, &other, reach as usize, MOST_UNLIKE_PART);
+    let other = fields.iter().max_by_key(|piece| piece.count())?;
     Some((centroid(other, scene.width) - centroid(&scene.own, scene.width)) / 2.0)
 }
 
