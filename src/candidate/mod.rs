@@ -74,6 +74,16 @@ pub struct Candidate {
     pub paint: Option<[u8; 3]>,
 }
 
+/// What has less area than this is only a part of a mark beside these marks: a field of a chequer, the lit half. Of no
+/// marks 0.
+pub fn least_whole_area_px<'a>(marks: impl Iterator<Item = &'a Candidate>) -> f64 {
+    /// Of the usual area.
+    const PART: f64 = 0.6;
+    let mut areas: Vec<f64> = marks.filter_map(|mark| mark.area_px).collect();
+    areas.sort_by(f64::total_cmp);
+    areas.get(areas.len() / 2).map_or(0.0, |usual| PART * usual)
+}
+
 impl Candidate {
     /// One of which only the place is known.
     pub fn at(centre: PixelPoint) -> Candidate {

@@ -3,8 +3,8 @@
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::candidate::Candidate;
 use crate::candidate::scene::{Ground, sample_ground};
+use crate::candidate::{Candidate, least_whole_area_px};
 use crate::gcp::Gcp;
 use crate::pipeline::georeference::Orientation;
 use crate::profile::colour::lab_from_srgb;
@@ -148,6 +148,7 @@ pub fn reasons(
     let mut sides: Vec<f64> = marks().filter_map(|found| found.mark.area_px.map(f64::sqrt)).collect();
     sides.sort_by(f64::total_cmp);
     let side_px = sides.get(sides.len() / 2).copied().unwrap_or(10.0).clamp(4.0, 100.0);
+    let least_area_px = least_whole_area_px(marks().map(|found| &found.mark));
     let mut all = Vec::new();
     for &gcp in &orientation.not_found {
         let (name, at) = (gcps[gcp].name.clone(), expected(gcp));
@@ -157,8 +158,10 @@ pub fn reasons(
             .filter(|found| near(found.mark.centre, side_px))
             .map(|found| gcps[found.gcp].name.clone())
             .collect();
-        let beside: Vec<PixelPoint> =
-            candidates.iter().map(|c| c.centre).filter(|centre| near(*centre, 2.5 * side_px)).collect();
+        let (parts, beside): (Vec<&Candidate>, Vec<&Candidate>) = candidates
+            .iter()
+            .filter(|c| near(c.centre, 2.5 * side_px))
+            .partition(|c| c.area_px.is_some_and(|area| area < least_area_px));
         let around = beside.len();
         if !rivals.is_empty() || around > 1 {
             let detail = match rivals.first() {
@@ -171,8 +174,14 @@ pub fn reasons(
             continue;
         }
         let taken = |mark: PixelPoint| marks().any(|found| near_each_other(found.mark.centre, mark, side_px));
-        if let Some(&mark) = beside.first().filter(|mark| !taken(**mark)) {
+        if let Some(mark) = beside.first().map(|c| c.centre).filter(|mark| !taken(*mark)) {
             all.push(beside_its_place(name, at, mark, &orientation.solution));
+            continue;
+        }
+        if let Some(part) = parts.first().map(|c| c.centre).filter(|mark| !taken(*mark)) {
+            let off_px = (part.x - at.x).hypot(part.y - at.y);
+            let detail = format!("only a part of a mark is seen, {off_px:.1} px beside its place");
+            all.push(NotFound::new(name, Reason::Hidden, at, detail));
             continue;
         }
         let seen = match source {

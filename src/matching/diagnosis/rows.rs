@@ -3,6 +3,7 @@
 use std::f64::consts::PI;
 
 use super::{Certainty, Diagnosis, FOOT_M, GrossErrors, Mistake, POSSIBLE_LOG10, US_SURVEY_FOOT_M};
+use crate::candidate::{Candidate, least_whole_area_px};
 use crate::matching::Pattern;
 use crate::matching::evidence::log10_tail;
 use crate::matching::field::Field;
@@ -67,8 +68,11 @@ impl<'a> Rest<'a> {
         let worst = pattern.pairs.iter().filter_map(|&(c, _)| given.candidates[c].score).min_by(f64::total_cmp);
         let good = |score: Option<f64>| worst.is_none_or(|worst| score.is_none_or(|score| score >= worst));
         let used = |i: usize| pattern.pairs.iter().any(|&(c, _)| c == i);
+        // Nor does a part of a mark, as a field of a chequer is.
+        let least_area_px = least_whole_area_px(pattern.pairs.iter().map(|&(c, _)| &given.candidates[c]));
+        let whole = |c: &Candidate| c.area_px.is_none_or(|area| area >= least_area_px);
         let left: Vec<PixelPoint> = (0..given.candidates.len())
-            .filter(|&i| !used(i) && good(given.candidates[i].score))
+            .filter(|&i| !used(i) && good(given.candidates[i].score) && whole(&given.candidates[i]))
             .map(|i| given.candidates[i].centre)
             .collect();
         if left.is_empty() {

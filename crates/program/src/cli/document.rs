@@ -7,7 +7,7 @@ use std::time::Instant;
 use autoref_raster::RasterInfo;
 use autoref_raster::crs::Crs;
 use autoref_raster::memory_plan;
-use autoref_stream::candidate::Candidate;
+use autoref_stream::candidate::{Candidate, least_whole_area_px};
 use autoref_stream::gcp::GcpList;
 use autoref_stream::matching::diagnosis::Diagnosis;
 use autoref_stream::matching::{Effort, Evidence, Pattern};
@@ -252,6 +252,8 @@ fn near_misses(candidates: &[Candidate], orientation: &Orientation, list: &GcpLi
     let solution = &orientation.solution;
     let all = || orientation.marks.iter().chain(&orientation.check_marks);
     let taken = |c: &Candidate| all().any(|found| found.mark.centre == c.centre);
+    let least_area_px = least_whole_area_px(all().map(|found| &found.mark));
+    let is_whole = |c: &Candidate| c.area_px.is_none_or(|area| area >= least_area_px);
     orientation
         .not_found
         .iter()
@@ -260,7 +262,7 @@ fn near_misses(candidates: &[Candidate], orientation: &Orientation, list: &GcpLi
             let distance = |c: &Candidate| (c.centre.x - place.x).hypot(c.centre.y - place.y);
             let nearest = candidates
                 .iter()
-                .filter(|c| !taken(c))
+                .filter(|c| !taken(c) && is_whole(c))
                 .map(distance)
                 .filter(|d| *d < NEAR_PX)
                 .min_by(f64::total_cmp)?;
