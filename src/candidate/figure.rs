@@ -553,6 +553,26 @@ mod tests {
         figure(&Scene::of_pixels(&patch, first, &set), &Profile::builtin("orange").expect("shipped"))
     }
 
+    /// A small field beside its like says where the figure's middle would be; alone, or beside much more paint, nothing.
+    #[test]
+    fn a_field_tells_the_middle_of_its_figure() {
+        let middle = |wanted: &dyn Fn(f64, f64) -> bool| {
+            let set = PixelSet::from_fn(48, 48, |i| wanted((i % 48) as f64 - 23.5, (i / 48) as f64 - 23.5));
+            let patch = patch_of(|i| colour(i, set.has(i)));
+            let scene = Scene::of_pixels(&patch, set.piece(set.first().expect("some")), &set);
+            middle_if_field(&scene).map(|off| centroid(&scene.own, 48) + off)
+        };
+        for half in [4.0, 6.0] {
+            let apart = |x: f64, y: f64| x.abs().max(y.abs()) < half && x * y > 0.0 && x.hypot(y) > 2.0;
+            let found = middle(&apart).expect("two fields");
+            assert!((found - Vector2::new(24.0, 24.0)).norm() < 0.1, "{found}");
+        }
+        let square = |x: f64, y: f64| x.abs().max(y.abs()) < 3.0;
+        assert!(middle(&square).is_none());
+        assert!(middle(&|x, y| square(x, y) || y > 5.0 && y < 14.0).is_none(), "beside a wall");
+        assert!(middle(&|x, y| square(x, y) || (x - 5.0).hypot(y - 5.0) < 1.0).is_none(), "beside a speck");
+    }
+
     #[test]
     fn figures_have_their_middle_and_halves_have_none() {
         let chequer = |x: f64, y: f64| x.abs().max(y.abs()) < 10.0 && x * y > 0.0;

@@ -86,8 +86,10 @@ pub(super) fn could_be_packed<'a>(texts: impl Iterator<Item = &'a str>) -> bool 
     let mut seen = 0;
     let mut texts = texts.inspect(|_| seen += 1);
     let all = texts.all(|text| {
-        let decimals = text.trim().rsplit_once(['.', ',']).map_or(0, |(_, decimals)| decimals.len());
-        decimals >= 4 && Packed::BehindDegrees.angle(text).is_some()
+        // Degrees, minutes and seconds apart from each other are no one number.
+        let decimals = text.trim().rsplit_once(['.', ',']).map_or("", |(_, decimals)| decimals);
+        let is_one = decimals.bytes().all(|b| b.is_ascii_digit()) && !text.trim().contains([' ', ':', '°']);
+        is_one && decimals.len() >= 4 && Packed::BehindDegrees.angle(text).is_some()
     });
     all && seen >= FEWEST
 }
@@ -138,5 +140,8 @@ mod tests {
         assert!(could_be_packed(packed.iter().map(String::as_str)));
         assert!(!could_be_packed(packed.iter().take(9).map(String::as_str)));
         assert!(!could_be_packed(packed.iter().map(String::as_str).chain(["10.2371"])));
+        for apart in ["52°20′12.34567″N", "N 52 20 12.34567", "52:20:12.34567", "-52 20 12.34567"] {
+            assert!(!could_be_packed([apart; 12].into_iter()), "{apart}");
+        }
     }
 }

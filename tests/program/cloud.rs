@@ -503,3 +503,22 @@ fn grids_have_their_names_and_every_statistic() {
         }
     }
 }
+
+/// Tables that hold colours of 8 bits become those of 16 bits that LAS has, as such a PLY does; larger ones stay.
+#[test]
+fn colours_of_tables_are_spread_over_sixteen_bits() {
+    let folder = Folder::new();
+    let red = |name: &str, content: &str| {
+        let (cloud, las, out) = (folder.put(name, content), folder.text(&format!("{name}.las")), folder.text("grid"));
+        done(&["clean", &cloud, "-o", &las, "--json"]);
+        let words = ["grid", &las, "-o", &out, "--cell", "10", "--dimension", "red", "--stat", "max", "--json"];
+        done(&[&words[..], &["--overwrite"]].concat());
+        let grid = folder.at("grid").join(format!("{name}_red_max.tif"));
+        let band = gdal::Dataset::open(grid).expect("a grid");
+        let band = band.rasterband(1).expect("a band").read_band_as::<f64>().expect("values");
+        band.data().iter().copied().filter(|v| *v > -9999.0).fold(0.0, f64::max)
+    };
+    assert_eq!(red("a.pts", "2\n1 2 3 100 10 20 255\n2 3 4 50 200 7 0\n"), 51_400.0);
+    assert_eq!(red("b.csv", "X,Y,Z,R,G,B\n1,2,3,10,20,255\n2,3,4,200,7,0\n"), 51_400.0);
+    assert_eq!(red("c.csv", "X,Y,Z,R,G,B\n1,2,3,10,20,255\n2,3,4,200,7,40000\n"), 200.0);
+}

@@ -440,3 +440,67 @@ fn heights_above_a_geoid_meet_those_above_the_ellipsoid() {
         assert!(!out.exists());
     }
 }
+
+/// NaN is no height to drawings and to coarser cells, whatever value the model declares for that.
+#[test]
+fn nan_is_no_height_beside_a_nodata_value() {
+    let folder = Folder::new();
+    let hole = |height: f64| {
+        move |east: f64, north: f64| match (east as i64 / 10, north as i64 / -10) {
+            (11, 9) => height,
+            _ => hills(east, north),
+        }
+    };
+    let (nan, nodata) = (folder.at("nan.tif"), folder.at("nodata.tif"));
+    write(&nan, CORNER, (24, 20), hole(f64::NAN));
+    write(&nodata, CORNER, (24, 20), hole(-9999.0));
+    let drawn = |command: &[&str], model: &Path| {
+        let out = folder.at("out.tif");
+        let words = [&["dem"], command, &[text(model), "-o", text(&out), "--overwrite"]].concat();
+        let output = autoref(&words);
+        assert!(output.status.success(), "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
+        read(&out).0
+    };
+    for command in [
+        &["slope"][..],
+        &["hillshade", "--compute-edges"],
+        &["roughness"],
+        &["resample", "--resolution", "20", "--resampling", "average"],
+        &["resample", "--resolution", "30", "--resampling", "cubic"],
+    ] {
+        let (a, b) = (drawn(command, &nan), drawn(command, &nodata));
+        assert!(a.iter().all(|v| !v.is_nan()) && a == b, "{command:?}");
+    }
+}
+
+/// Two models of one plane differ by nothing, also where the finer one covers only a part of a cell, and the document
+/// says how it came onto the other's grid. A difference that is no whole number of steps is not cut.
+#[test]
+fn cells_that_are_covered_in_part_are_compared_at_their_middle() {
+    let folder = Folder::new();
+    let (fine, coarse, out) = (folder.at("fine.tif"), folder.at("coarse.tif"), folder.at("out"));
+    let plane = |east: f64, north: f64| 0.8 * east - 0.5 * north;
+    let (x0, y0) = (CORNER.0 + 44.0, CORNER.1 - 26.0);
+    write_on(&fine, &[x0, 10.0, 0.0, y0, 0.0, -10.0], (152, 140), Some(25833), |east, north| {
+        plane(east + 44.0, north - 26.0) + 0.1
+    });
+    // Ten times as wide: `write_on` counts tenths of a cell.
+    write_on(&coarse, &[CORNER.0, 100.0, 0.0, CORNER.1, 0.0, -100.0], (20, 18), Some(25833), |east, north| {
+        plane(10.0 * east, 10.0 * north)
+    });
+    let told = document(&autoref(&[
+        "dem",
+        "compare",
+        text(&fine),
+        text(&coarse),
+        "-o",
+        text(&out),
+        "--json",
+        "--resampling",
+        "nearest",
+    ]));
+    assert_eq!(told["resampling"], "mean");
+    let number = |key: &str| told[key].as_f64().expect("a number");
+    assert!((number("mean_m") - 0.1).abs() < 2e-5 && number("sd_m") < 2e-3, "{told}");
+    assert!((number("rmse_m") - 0.1).abs() < 2e-5, "{told}");
+}

@@ -133,6 +133,7 @@ fn write(path: &Path, points: &[([f64; 3], f64)], memory_bytes: u64) {
         shift: None,
         las: None,
         intensity: None,
+        colours: None,
         description: String::new(),
     };
     let all = || points.iter().map(|(xyz, _)| xyz);

@@ -157,7 +157,8 @@ impl<'a, H: Heights + ?Sized> Footprints<'a, H> {
 }
 
 impl<H: Heights + ?Sized> Footprints<'_, H> {
-    /// The middle of what has heights of a footprint, from the footprint's own, in cells of the target; `cells` are the
+    /// Where the mean of a footprint belongs that has heights in part, from the footprint's middle, in cells of the
+    /// target: heights belong to the middles of cells, of which a footprint may end within one. `cells` are the
     /// source's from its first on, with their stride.
     fn middle_of(
         &self,
@@ -165,20 +166,18 @@ impl<H: Heights + ?Sized> Footprints<'_, H> {
         (columns, rows): (usize, usize),
         (column_shares, row_shares): (&[f64], &[f64]),
     ) -> [f64; 2] {
+        // The first cell ends where the footprint has used its share.
+        let place = |k: usize, shares: &[f64], width: f64| shares[0] + (k as f64 - 0.5) / width;
         let (mut x, mut y, mut all) = (0.0, 0.0, 0.0);
-        let mut down = 0.0;
         for (j, row_share) in row_shares[..rows].iter().enumerate() {
-            let mut across = 0.0;
             for (i, column_share) in column_shares[..columns].iter().enumerate() {
                 if !cells[j * stride + i].is_nan() {
                     let share = row_share * column_share;
-                    x += share * (across + 0.5 * column_share);
-                    y += share * (down + 0.5 * row_share);
+                    x += share * place(i, column_shares, self.x.width);
+                    y += share * place(j, row_shares, self.y.width);
                     all += share;
                 }
-                across += column_share;
             }
-            down += row_share;
         }
         // Shares run as the source's cells do, which may be against the target's.
         [self.x.step.signum() * (x / all - 0.5), self.y.step.signum() * (y / all - 0.5)]

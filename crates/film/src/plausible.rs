@@ -57,12 +57,13 @@ impl Finder {
                 (options.turn_deg.is_none(), "say --turn"),
                 (options.mirrored.is_none(), "say --mirrored"),
             ];
-            let ways =
-                unsaid.into_iter().filter(|(open, _)| *open).map(|(_, way)| way).chain(["take a smaller --box-share"]);
+            // One alone may not suffice: each divides the number of places or of ways to lie.
+            let ways = unsaid.into_iter().filter(|(open, _)| *open).map(|(_, way)| way);
+            let ways = ways.chain(["take a smaller --box-share, or several of these"]);
             said.doubts.push(format!(
                 "so many places look like marks that {} of them would agree as well by chance; {}",
                 interior.marks.len(),
-                ways.collect::<Vec<_>>().join(", or ")
+                ways.collect::<Vec<_>>().join(", ")
             ));
         }
         let by_file =

@@ -232,6 +232,7 @@ fn adjust_all(
     let end = End { problem, deviations, kept, ties, dropped_ties, blunders, summary, sigma_tie_px, notes };
     let mut adjusted = outcome::outcome(&world, points, &control, end);
     adjusted.notes.extend(snooping::rays_apart(&adjusted.points, options.sigma_image_px));
+    misfit::deviations_of_check_points(&mut adjusted.points, points, &adjusted.model, options.sigma_image_px);
     let bent = misfit::notes(&adjusted.points, points, &adjusted.model, options.sigma_image_px);
     adjusted.notes.extend(bent);
     Ok(adjusted)

@@ -6,7 +6,9 @@ use autoref_flight::bundle::{
 };
 use autoref_flight::camera::{Camera, Parameter};
 use autoref_flight::complete::{completed, joined};
+use autoref_flight::pose::Similarity;
 use autoref_flight::read::{Reconstruction, TiePoint};
+use autoref_flight::shape::ties_of_poses;
 use autoref_flight::start::Track;
 use nalgebra::{Rotation3, Vector3};
 
@@ -94,6 +96,35 @@ fn exact_measurements_give_the_exact_block() {
         assert!((a.pose.centre - b.pose.centre).norm() < 1e-3, "{:?}", a.pose.centre - b.pose.centre);
     }
     assert!((found.cameras[0].f_px() - 2107.0).abs() < 1e-4 && found.blunders.is_empty());
+}
+
+/// Exact poses in a datum of their own, without ties: the points turn, scale and move the block and do not take it apart,
+/// and what is stated of its cameras covers their errors.
+#[test]
+fn a_block_without_ties_keeps_its_shape() {
+    for seed in 0..6 {
+        let mut draw = Draw(400 + seed);
+        let (truth, points) = block(&mut draw, 6, 60, 8);
+        let (mut seen, mut measured) = (truth.clone(), points.clone());
+        noisy(&mut draw, &mut seen, &mut measured, 0.5, 2.0);
+        let mut start = shaken(&mut draw, &truth);
+        start.photographs.iter_mut().zip(&truth.photographs).for_each(|(own, true_one)| own.pose = true_one.pose);
+        let datum = Similarity {
+            scale: 0.013,
+            rotation: Rotation3::from_euler_angles(0.3, -1.1, 2.0).into_inner(),
+            shift: Vector3::new(3.0, -20.0, 7.0),
+        };
+        start.photographs.iter_mut().for_each(|p| p.pose = p.pose.moved(&datum));
+        start.ties = ties_of_poses(&start);
+        assert!(start.ties.iter().all(|t| (2..=8).contains(&t.seen.len())) && start.ties.len() > 50);
+        let options = AdjustOptions { sigma_tie_px: Some(1.0), interior: Vec::new(), ..AdjustOptions::default() };
+        let found = adjust(&start, &measured, &options).expect("adjusted");
+        for (a, b) in found.photographs.iter().zip(&truth.photographs) {
+            let (off, c) = (a.pose.centre - b.pose.centre, a.covariance.expect("the datum is fixed"));
+            let sigma = c.diagonal().fixed_rows::<3>(3).map(f64::sqrt);
+            assert!(off.component_div(&sigma).amax() < 4.5 && sigma.amax() < 20.0, "{seed}: {off:?} {sigma:?}");
+        }
+    }
 }
 
 /// An interior orientation that is held and wrong is said, though none of its parameters is adjusted.

@@ -171,6 +171,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         crs,
         shift: None,
         intensity: schema::intensity_limits(&clouds),
+        colours: None,
         las: None,
         description: format!("E57, {}", counted(count, "scan", "scans")),
         schema,

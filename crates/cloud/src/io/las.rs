@@ -62,6 +62,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         crs: header.crs(),
         shift: None,
         intensity: None,
+        colours: None,
         description: format!("{} 1.{}, point format {}{copc}", format.name(), header.minor, header.point_format),
         las: Some(header.clone()),
     };

@@ -226,7 +226,9 @@ pub(super) fn make(path: &Path, target: &Target<'_>, schema: &Schema) -> Result<
         names.iter().find_map(|name| schema.fields.iter().find(|field| plain_name(&field.name) == *name)).cloned()
     };
     let colours = match (named(&["red", "r"]), named(&["green", "g"]), named(&["blue", "b"])) {
-        (Some(red), Some(green), Some(blue)) => Some([red, green, blue]),
+        (Some(red), Some(green), Some(blue)) => {
+            Some([red, green, blue].map(|field| spread(field, target.source.colours)))
+        }
         _ => None,
     };
     let class = named(&["classification", "class"]);
@@ -311,7 +313,7 @@ fn begun_head() -> Vec<u8> {
     head
 }
 
-/// Intensities between other limits are spread over the sixteen bits, as the specification asks.
+/// Intensities and colours between other limits are spread over the sixteen bits, as the specification asks.
 fn spread(field: Field, limits: Option<[f64; 2]>) -> Field {
     let Some([least, most]) = limits else { return field };
     let factor = 65_535.0 / (most - least);

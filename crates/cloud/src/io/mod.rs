@@ -74,6 +74,8 @@ pub struct Header {
     pub shift: Option<[f64; 3]>,
     /// Between which limits intensities lie that are no whole numbers of 16 bits, as LAS has them.
     pub intensity: Option<[f64; 2]>,
+    /// Between which limits colours lie that are no whole numbers of 16 bits, nor bytes by their kind.
+    pub colours: Option<[f64; 2]>,
     /// What a LAS file says of itself.
     pub las: Option<LasHeader>,
     /// `LAS 1.4, point format 6` and the like.

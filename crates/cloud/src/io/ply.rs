@@ -253,6 +253,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         crs: parsed.crs,
         shift: parsed.shift,
         intensity: None,
+        colours: None,
         las: None,
         description: format!("PLY, {encoding}"),
     };

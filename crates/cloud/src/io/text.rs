@@ -9,7 +9,7 @@ use super::text_head::{self, Count, DECIMAL_COMMAS, NO_THOUSANDS, remark};
 use super::text_line::{has_decimal_commas, has_thousands, number, numbers, plain_numbers, read_line, text_of, words};
 use super::{Format, Header, PointReader, Precision};
 use crate::error::{Error, Result};
-use crate::schema::{Batch, Kind};
+use crate::schema::{Batch, Kind, Schema};
 use autoref_raster::words::counted;
 
 const MOST_COLUMNS: usize = 256;
@@ -28,6 +28,23 @@ struct TextReader {
 }
 
 pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
+    let (schema, reader) = begin(path)?;
+    let header = Header {
+        format: Format::Text,
+        points: None,
+        colours: colour_limits(path, &schema),
+        schema,
+        precision: Precision::Double,
+        crs: None,
+        shift: None,
+        intensity: None,
+        las: None,
+        description: format!("text, {} columns", reader.columns),
+    };
+    Ok((header, Box::new(reader)))
+}
+
+fn begin(path: &Path) -> Result<(Schema, TextReader)> {
     let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
     let mut file = BufReader::with_capacity(1 << 20, file);
     let (mut line, mut bytes) = (0, Vec::new());
@@ -42,18 +59,30 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     }
     let names = text_head::names_of(path, head, line)?;
     let axes = text_head::axes_among(path, &names)?;
-    let header = Header {
-        format: Format::Text,
-        points: None,
-        schema: text_head::schema_of(&names, axes),
-        precision: Precision::Double,
-        crs: None,
-        shift: None,
-        intensity: None,
-        las: None,
-        description: format!("text, {columns} columns"),
-    };
-    Ok((header, Box::new(TextReader { path: path.to_path_buf(), file, axes, columns, line, bytes, count, counted: 0 })))
+    let schema = text_head::schema_of(&names, axes);
+    Ok((schema, TextReader { path: path.to_path_buf(), file, axes, columns, line, bytes, count, counted: 0 }))
+}
+
+/// The limits of 8 bits, where the first rows have no larger colours; a table says nothing of their kind. Black and
+/// white alone tell nothing.
+fn colour_limits(path: &Path, schema: &Schema) -> Option<[f64; 2]> {
+    const ROWS: usize = 20_000;
+    let of = |names: [&str; 2]| schema.fields.iter().find(|field| names.contains(&field.name.as_str()));
+    let fields = [of(["red", "r"])?, of(["green", "g"])?, of(["blue", "b"])?];
+    // What is wrong with a row is told when it is read for good.
+    let (_, mut reader) = begin(path).ok()?;
+    let (mut batch, mut most) = (Batch::default(), 0.0f64);
+    let read = reader.read(&mut batch, ROWS);
+    for row in batch.raw.chunks_exact(schema.stride).take(batch.len()) {
+        for field in fields {
+            let value = field.value(row);
+            if value.fract() != 0.0 || !(0.0..=255.0).contains(&value) {
+                return None;
+            }
+            most = most.max(value);
+        }
+    }
+    (read.is_ok() && most > 1.0).then_some([0.0, 255.0])
 }
 
 impl TextReader {

@@ -24,7 +24,7 @@ const AXES: [&[&str]; 3] = [
     &["x", "e", "east", "easting", "rechtswert", "ostwert", "est", "este"],
     &["y", "n", "north", "northing", "hochwert", "nordwert", "nord", "norte"],
     // The last is `höhe` in Latin-1, as spreadsheets save it.
-    &["z", "h", "height", "elevation", "altitude", "hoehe", "höhe", "h\u{fffd}he"],
+    &["z", "h", "height", "elevation", "elev", "altitude", "hoehe", "höhe", "h\u{fffd}he"],
 ];
 
 /// The name of a column without its unit, which is metres: `X [m]`.

@@ -39,6 +39,18 @@ pub(super) fn notes(
     said.into_iter().filter_map(line).collect()
 }
 
+/// Gives check points the covariance of where their rays meet, cameras taken for known.
+pub(super) fn deviations_of_check_points(
+    adjusted: &mut [AdjustedPoint],
+    points: &[GroundPoint],
+    model: &Reconstruction,
+    sigma_px: f64,
+) {
+    for (found, given) in adjusted.iter_mut().zip(points).filter(|(found, _)| found.role == Role::Check) {
+        found.covariance = found.residual.and_then(|_| of_rays(&found.xyz, given, model, sigma_px));
+    }
+}
+
 fn middle(mut all: Vec<f64>) -> Option<f64> {
     all.sort_by(f64::total_cmp);
     if all.len() < FEWEST { None } else { all.get(all.len() / 2).copied() }
