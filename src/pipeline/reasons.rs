@@ -95,7 +95,8 @@ impl From<Written> for NotFound {
 }
 
 impl NotFound {
-    fn new(name: String, reason: Reason, at: PixelPoint, detail: String) -> NotFound {
+    /// A reason, where the point's mark must be, and in words.
+    pub fn new(name: String, reason: Reason, at: PixelPoint, detail: String) -> NotFound {
         NotFound {
             name,
             reason,

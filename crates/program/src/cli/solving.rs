@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 use autoref_raster::atomic::{self, Existing, Transaction};
-use autoref_raster::coords::{GeoTransform, MapPoint};
+use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
 use autoref_raster::crs::Coordinate;
 use autoref_raster::protected::same_file;
 use autoref_raster::{ElevationModel, RasterInfo};
@@ -14,9 +14,11 @@ use autoref_stream::gcp::GcpList;
 use autoref_stream::georef::heights::{CopyPlace, write_corrected};
 use autoref_stream::pipeline::georeference::{Orientation, Outcome};
 use autoref_stream::pipeline::heights::{self, HeightResult, ModelFrame, PlacedModel};
+use autoref_stream::pipeline::reasons::{NotFound, Reason};
 use autoref_stream::result::{RunResult, SolvedRun};
 use clap::{Args, ValueEnum};
 
+use crate::cli::document::NO_MARK_THERE;
 use crate::cli::summary::length;
 
 #[derive(Args, Debug)]
@@ -169,7 +171,12 @@ impl SolvingArgs {
                     planar_solver(result, &pairs, solver);
                 }
             }
-            ModelArg::Affine => planar_model(result, &pairs, planar::Kind::Affine),
+            ModelArg::Affine => {
+                planar_model(result, &pairs, planar::Kind::Affine);
+                if let Some(written) = written_affine(result) {
+                    explain_under(result, &written, list);
+                }
+            }
             ModelArg::Projective => planar_model(result, &pairs, planar::Kind::Projective),
             ModelArg::SevenParameter => self.in_space(result, orientation, list),
         }
@@ -325,6 +332,42 @@ pub fn written_affine(result: &RunResult) -> Option<GeoTransform> {
     let row = |i: usize| Some([entry(i, 2)?, entry(i, 0)?, entry(i, 1)?]);
     let (e, n) = (row(0)?, row(1)?);
     Some(GeoTransform([e[0], e[1], e[2], n[0], n[1], n[2]]))
+}
+
+/// Takes back what was said against points and marks that do not fit the similarity, by which marks are matched, but fit
+/// the affine transform that is written.
+fn explain_under(result: &mut RunResult, written: &GeoTransform, list: &GcpList) {
+    /// A mark fits within so many of the marks' root mean square residuals, and so many pixels at least.
+    const TIMES: f64 = 4.0;
+    const LEAST_PX: f64 = 1.0;
+    let candidates: Vec<PixelPoint> = result.candidates.iter().map(|c| c.centre).collect();
+    let Some(solved) = result.solved_mut() else { return };
+    let reach_px = (TIMES * solved.fit.rmse_m / solved.fit.scale_m_per_px).max(LEAST_PX);
+    let mut fitting = vec![];
+    for point in &mut solved.not_found {
+        let Some(gcp) = list.gcps.iter().find(|gcp| gcp.name == point.name) else { continue };
+        let Some(at) = written.invert(gcp.position()) else { continue };
+        let off = candidates.iter().map(|c| (c.x - at.x).hypot(c.y - at.y)).min_by(f64::total_cmp);
+        if let Some(off_px) = off.filter(|off| *off <= reach_px) {
+            let detail = format!(
+                "a mark lies {off_px:.1} px from where the affine transform puts it, but not where the similarity does, by \
+                 which marks are matched"
+            );
+            let name = point.name.clone();
+            fitting.push(name.clone());
+            *point = NotFound { between: vec![name.clone()], ..NotFound::new(name, Reason::Ambiguous, at, detail) };
+        }
+    }
+    if fitting.is_empty() {
+        return;
+    }
+    let blames = |warning: &String| fitting.iter().any(|name| warning.starts_with(&format!("{name}: {NO_MARK_THERE}")));
+    result.warnings.retain(|warning| !blames(warning));
+    result.warnings.push(format!(
+        "{}: marks lie where the affine transform puts them, but marks are matched by a similarity: left out; make the \
+         pixels square first (gdalwarp -tr), or solve the candidates by hand",
+        fitting.join(", ")
+    ));
 }
 
 /// An affine transform takes the similarity's place in the outputs; a projective one is reported.
