@@ -182,8 +182,8 @@ fn with_other_field(scene: &Scene<'_>) -> PixelSet {
     }
 }
 
-/// Pieces of other paint of the own size, but for a factor, so near to it; none where a larger one is too. Specks do not
-/// count: ground of the paint's colour has them everywhere.
+/// Pieces of other paint of the own size, but for a factor, so near to it; none where a larger one is too. Specks do
+/// not count: ground of the paint's colour has them everywhere.
 fn other_fields(own: &PixelSet, other: &PixelSet, reach_px: usize, most_unlike: f64) -> Vec<PixelSet> {
     /// Specks are smaller than the own paint by more than this factor.
     const SPECK: f64 = 6.0;
@@ -214,8 +214,8 @@ pub(super) fn middle_if_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
     if scene.other.and(&scene.own.grown(reach as usize)).is_empty() {
         return None;
     }
-    // Ground of the paint's colour may join the other field: what is as different from the own paint as ground is, is no
-    // field.
+    // Ground of the paint's colour may join the other field: what is as different from the own paint as ground is, is
+    // no field.
     let (paint, ground) = (scene.plateau(), scene.ring_ground()?.mean);
     let is_paint = |i: usize| {
         let colour = scene.colour(i);
@@ -553,7 +553,8 @@ mod tests {
         figure(&Scene::of_pixels(&patch, first, &set), &Profile::builtin("orange").expect("shipped"))
     }
 
-    /// A small field beside its like says where the figure's middle would be; alone, or beside much more paint, nothing.
+    /// A small field beside its like says where the figure's middle would be; alone, or beside much more paint,
+    /// nothing.
     #[test]
     fn a_field_tells_the_middle_of_its_figure() {
         let middle = |wanted: &dyn Fn(f64, f64) -> bool| {

@@ -144,7 +144,8 @@ fn learn_visiting(
 }
 
 /// Finds the marks in a further frame, first as it lay when they were pointed at: marks in a square, which may all look
-/// alike, do not tell its quarters, and one scanner's frames lie alike. `None` when they are not found, or what is found fits no film.
+/// alike, do not tell its quarters, and one scanner's frames lie alike. `None` when they are not found, or what is
+/// found fits no film.
 fn examine(
     finder: &Finder,
     scan: &dyn RasterSource,

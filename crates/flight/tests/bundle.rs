@@ -98,8 +98,8 @@ fn exact_measurements_give_the_exact_block() {
     assert!((found.cameras[0].f_px() - 2107.0).abs() < 1e-4 && found.blunders.is_empty());
 }
 
-/// Exact poses in a datum of their own, without ties: the points turn, scale and move the block and do not take it apart,
-/// and what is stated of its cameras covers their errors.
+/// Exact poses in a datum of their own, without ties: the points turn, scale and move the block and do not take it
+/// apart, and what is stated of its cameras covers their errors.
 #[test]
 fn a_block_without_ties_keeps_its_shape() {
     for seed in 0..6 {

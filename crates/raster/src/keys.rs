@@ -1,5 +1,5 @@
-//! Keys' cubic convolution with a = −1/2, after R. Keys, "Cubic convolution interpolation for digital image processing",
-//! IEEE Trans. ASSP 29, 1981.
+//! Keys' cubic convolution with a = −1/2, after R. Keys, "Cubic convolution interpolation for digital image
+//! processing", IEEE Trans. ASSP 29, 1981.
 
 /// The weight of a value that lies `distance` values away.
 pub fn weight(distance: f64) -> f64 {

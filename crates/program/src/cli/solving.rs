@@ -334,8 +334,8 @@ pub fn written_affine(result: &RunResult) -> Option<GeoTransform> {
     Some(GeoTransform([e[0], e[1], e[2], n[0], n[1], n[2]]))
 }
 
-/// Takes back what was said against points and marks that do not fit the similarity, by which marks are matched, but fit
-/// the affine transform that is written.
+/// Takes back what was said against points and marks that do not fit the similarity, by which marks are matched, but
+/// fit the affine transform that is written.
 fn explain_under(result: &mut RunResult, written: &GeoTransform, list: &GcpList) {
     /// A mark fits within so many of the marks' root mean square residuals, and so many pixels at least.
     const TIMES: f64 = 4.0;
