@@ -179,8 +179,9 @@ pub fn reasons(
             all.push(beside_its_place(name, at, mark, &orientation.solution));
             continue;
         }
-        if let Some(part) = parts.first().map(|c| c.centre).filter(|mark| !taken(*mark)) {
-            let off_px = (part.x - at.x).hypot(part.y - at.y);
+        let off = |mark: &PixelPoint| (mark.x - at.x).hypot(mark.y - at.y);
+        let nearest = parts.iter().map(|c| c.centre).min_by(|a, b| off(a).total_cmp(&off(b)));
+        if let Some(off_px) = nearest.filter(|mark| !taken(*mark)).as_ref().map(off) {
             let detail = format!("only a part of a mark is seen, {off_px:.1} px beside its place");
             all.push(NotFound::new(name, Reason::Hidden, at, detail));
             continue;

@@ -23,10 +23,12 @@ struct Axis {
     width: f64,
 }
 
-/// Cells of the source under one of the target: the first, and its and the next ones' shares, at `at` in a list.
+/// Cells of the source under one of the target: the first, and its and the next ones' shares, at `at` in a list; where
+/// the footprint begins, from the first's own beginning.
 #[derive(Clone, Copy, Debug)]
 struct Cover {
     first: i64,
+    begins: f64,
     at: usize,
     count: usize,
 }
@@ -54,7 +56,7 @@ impl Axis {
             let at = shares.len();
             let first = (start..end).find(|&c| share(c) > LEAST_SHARE).unwrap_or(start);
             shares.extend((first..end).map(share).take_while(|share| *share > LEAST_SHARE));
-            covers.push(Cover { first, at, count: shares.len() - at });
+            covers.push(Cover { first, begins: low - first as f64, at, count: shares.len() - at });
         }
     }
 }
@@ -146,7 +148,7 @@ impl<'a, H: Heights + ?Sized> Footprints<'a, H> {
                     if (0.5..1.0 - WHOLE).contains(&whole) {
                         let shares = (&column_shares[columns[x].at..], &row_shares[cover.at..]);
                         let from = (cover.first - top) as usize * width + (columns[x].first - left) as usize;
-                        let middle = self.middle_of((&cells[from..], width), (columns[x].count, cover.count), shares);
+                        let middle = self.middle_of((&cells[from..], width), (&columns[x], cover), shares);
                         partial.push(Partial { index: first_index + x, off_px: middle });
                     }
                 }
@@ -163,18 +165,17 @@ impl<H: Heights + ?Sized> Footprints<'_, H> {
     fn middle_of(
         &self,
         (cells, stride): (&[f64], usize),
-        (columns, rows): (usize, usize),
+        (columns, rows): (&Cover, &Cover),
         (column_shares, row_shares): (&[f64], &[f64]),
     ) -> [f64; 2] {
-        // The first cell ends where the footprint has used its share.
-        let place = |k: usize, shares: &[f64], width: f64| shares[0] + (k as f64 - 0.5) / width;
+        let place = |k: usize, cover: &Cover, width: f64| (k as f64 + 0.5 - cover.begins) / width;
         let (mut x, mut y, mut all) = (0.0, 0.0, 0.0);
-        for (j, row_share) in row_shares[..rows].iter().enumerate() {
-            for (i, column_share) in column_shares[..columns].iter().enumerate() {
+        for (j, row_share) in row_shares[..rows.count].iter().enumerate() {
+            for (i, column_share) in column_shares[..columns.count].iter().enumerate() {
                 if !cells[j * stride + i].is_nan() {
                     let share = row_share * column_share;
-                    x += share * place(i, column_shares, self.x.width);
-                    y += share * place(j, row_shares, self.y.width);
+                    x += share * place(i, columns, self.x.width);
+                    y += share * place(j, rows, self.y.width);
                     all += share;
                 }
             }

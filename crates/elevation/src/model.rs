@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use gdal::raster::GdalDataType;
+use gdal::raster::{GdalDataType, RasterBand};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 
 use crate::coords::GeoTransform;
@@ -285,22 +285,25 @@ pub fn open_dataset(path: &Path) -> Result<Dataset> {
     open_named(path, path)
 }
 
-/// Cells that are read at a time.
+/// Cells that are read at a time, about.
 const CELLS_AT_A_TIME: usize = 1 << 20;
 
-/// What a raster's first band stores, piece by piece, until `see` has seen enough.
+/// What a raster's first band stores, in pieces of whole blocks, until `see` has seen enough.
 pub(crate) fn look_through(
     path: &Path,
     dataset: &Dataset,
     mut see: impl FnMut(&[f64]) -> ControlFlow<()>,
 ) -> Result<()> {
     let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
-    let ((width, height), (_, block)) = (band.size(), band.block_size());
-    let width_at_a_time = width.clamp(1, CELLS_AT_A_TIME);
-    let rows_at_a_time = (CELLS_AT_A_TIME / width_at_a_time / block.max(1) * block).max(1);
-    for y in (0..height).step_by(rows_at_a_time) {
-        for x in (0..width).step_by(width_at_a_time) {
-            let size = (width_at_a_time.min(width - x), rows_at_a_time.min(height - y));
+    let ((width, height), (across, down)) = (band.size(), band.block_size());
+    let (across, down) = (across.clamp(1, width.max(1)), down.clamp(1, height.max(1)));
+    // A block that lies in two pieces would be decoded twice.
+    let blocks = (CELLS_AT_A_TIME / (across * down)).max(1);
+    let side = blocks.min(width.div_ceil(across));
+    let (piece_width, piece_height) = (side * across, (blocks / side).max(1) * down);
+    for y in (0..height).step_by(piece_height) {
+        for x in (0..width).step_by(piece_width) {
+            let size = (piece_width.min(width - x), piece_height.min(height - y));
             let at = (x as isize, y as isize);
             let stored = band.read_as::<f64>(at, size, size, None).map_err(|e| Error::gdal(path, e))?;
             if see(stored.data()).is_break() {
@@ -320,19 +323,15 @@ pub(crate) fn look_through(
 pub fn open_heights(path: &Path) -> Result<Dataset> {
     /// Nothing on Earth is as high.
     const VOID: f64 = -1e30;
-    let dataset = open_stored(path)?;
+    let (dataset, name) = without_nan(path)?;
     let Ok(band) = dataset.rasterband(1) else { return Ok(dataset) };
     let (ratio, offset) = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
     if (ratio, offset) == (1.0, 0.0) {
         return Ok(dataset);
     }
-    let stored = match dataset.driver().short_name() == "VRT" && dataset.metadata_item(LEFT_OUT, "").is_some() {
-        true => xml_without_nan(path, &dataset),
-        false => path.to_string_lossy().into_owned(),
-    };
     let nodata = band.no_data_value().map_or(String::new(), |v| format!("<NODATA>{}</NODATA>", number(v)));
     let source = format!("{nodata}<ScaleOffset>{offset:.17e}</ScaleOffset><ScaleRatio>{ratio:.17e}</ScaleRatio>");
-    let band = virtual_band(&dataset, 1, "Float64", (VOID, ""), (&stored, &source));
+    let band = virtual_band(&dataset, 1, "Float64", (VOID, ""), (&name, &source));
     open_named(Path::new(&virtual_raster(&dataset, &band)), path)
 }
 
@@ -341,10 +340,19 @@ pub fn open_heights(path: &Path) -> Result<Dataset> {
 /// # Errors
 /// As [`open_dataset`].
 pub fn open_stored(path: &Path) -> Result<Dataset> {
+    Ok(without_nan(path)?.0)
+}
+
+/// A model without NaN that counts as a height, and what GDAL calls it. One that has a mask or opacity, or that GCPs
+/// place, is left as it is: these say more than a virtual raster would keep.
+fn without_nan(path: &Path) -> Result<(Dataset, String)> {
     let dataset = open_dataset(path)?;
-    let Ok(band) = dataset.rasterband(1) else { return Ok(dataset) };
-    if !band.band_type().is_floating() || band.no_data_value().is_some_and(f64::is_nan) {
-        return Ok(dataset);
+    let name = path.to_string_lossy().into_owned();
+    let may_hold_nan =
+        |band: &RasterBand<'_>| band.band_type().is_floating() && !band.no_data_value().is_some_and(f64::is_nan);
+    let Ok(band) = dataset.rasterband(1) else { return Ok((dataset, name)) };
+    if !may_hold_nan(&band) || masked::has_mask(path, &band)? || !dataset.gcps().is_empty() {
+        return Ok((dataset, name));
     }
     let mut holds_nan = false;
     look_through(path, &dataset, |stored| {
@@ -352,17 +360,14 @@ pub fn open_stored(path: &Path) -> Result<Dataset> {
         if holds_nan { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
     if !holds_nan {
-        return Ok(dataset);
+        return Ok((dataset, name));
     }
-    open_named(Path::new(&xml_without_nan(path, &dataset)), path)
+    let xml = xml_without_nan(&name, &dataset);
+    Ok((open_named(Path::new(&xml), path)?, xml))
 }
 
-/// An item of the metadata of virtual rasters that leave NaN out.
-const LEFT_OUT: &str = "LEFT_OUT";
-
 /// A virtual raster of all bands, in which NaN is the value that says that there is no height.
-fn xml_without_nan(path: &Path, dataset: &Dataset) -> String {
-    let name = path.to_string_lossy();
+fn xml_without_nan(name: &str, dataset: &Dataset) -> String {
     let bands = (1..=dataset.raster_count()).filter_map(|index| {
         let band = dataset.rasterband(index).ok()?;
         let (offset, scale) = (band.offset().unwrap_or(0.0), band.scale().unwrap_or(1.0));
@@ -370,10 +375,9 @@ fn xml_without_nan(path: &Path, dataset: &Dataset) -> String {
         let said = format!("<UnitType>{unit}</UnitType><Offset>{offset:.17e}</Offset><Scale>{scale:.17e}</Scale>");
         let nodata = band.no_data_value().unwrap_or(f64::NAN);
         let kind = band.band_type().name();
-        Some(virtual_band(dataset, index, &kind, (nodata, &said), (&name, "<NODATA>nan</NODATA>")))
+        Some(virtual_band(dataset, index, &kind, (nodata, &said), (name, "<NODATA>nan</NODATA>")))
     });
-    let left_out = format!("<Metadata><MDI key=\"{LEFT_OUT}\">NaN</MDI></Metadata>");
-    virtual_raster(dataset, &(left_out + &bands.collect::<String>()))
+    virtual_raster(dataset, &bands.collect::<String>())
 }
 
 fn number(v: f64) -> String {

@@ -64,7 +64,8 @@ pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
     let edges: Vec<&Values> = edges.iter().map(Vec::as_slice).collect();
     let mut seen = windows;
     // In front of terrain marks have their edges in common, not where it is dark and where bright.
-    if count(&laid) < 2 {
+    let by_edges = count(&laid) < 2;
+    if by_edges {
         (laid, seen) = (field.laid_on_most(&edges), &edges);
     }
     if count(&laid) >= 2 {
@@ -77,7 +78,7 @@ pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
             .or_else(|| by_corner(&field, &stack, of_mean, spread))
             .unwrap_or_else(|| by_clicks(&field, &stack, of_mean));
         shared_sigma = settled.sigma;
-        let common = field.edges(&stack);
+        let common = if by_edges { stack } else { field.edges(&stack) };
         for ((edges, shift), found) in edges.iter().zip(&laid).zip(&mut found) {
             *found = match field.compare(&common, edges, *shift) {
                 Some((shift, alike)) => {
@@ -100,7 +101,7 @@ pub(super) fn centres(windows: &[&Values], grid: &Grid) -> Vec<Told> {
             return Told { centre, sigma: shared_sigma };
         }
         // Alone there is one click, and it is its own mean; what lies behind a mark has corners, but no symmetry.
-        match by_symmetry(&field, window, click_sigma, |_, _| 0.0) {
+        match by_symmetry(&field, window, click_sigma, |_, _| None) {
             Some(own) => Told { centre: Centre::Own(own.shift), sigma: own.sigma },
             None => Told { centre, sigma: by_clicks(&field, window, click_sigma).sigma },
         }
@@ -119,8 +120,8 @@ struct Settled {
     sigma: f64,
 }
 
-/// How what is seen in a window tells its reference point.
-type Tell<'a> = &'a dyn Fn(&Values) -> Option<[f64; 2]>;
+/// How what is seen in a window tells its reference point, which lies about a place.
+type Tell<'a> = &'a dyn Fn(&Values, [f64; 2]) -> Option<[f64; 2]>;
 
 /// How far a reference point may lie from the mean of clicks with this standard deviation.
 fn allowed(of_mean: f64) -> f64 {
@@ -132,18 +133,23 @@ fn by_symmetry(
     field: &Field,
     window: &Values,
     of_mean: f64,
-    spread: impl Fn(Tell, [f64; 2]) -> f64,
+    spread: impl Fn(Tell, [f64; 2]) -> Option<f64>,
 ) -> Option<Settled> {
-    let tell: Tell = &|window| field.symmetric_centre(window);
-    let shift = tell(window).filter(|c| c[0].hypot(c[1]) <= NEAR_CLICKS.max(allowed(of_mean)))?;
-    Some(Settled { shift, sigma: spread(tell, shift).max(LEAST_SIGMA) })
+    let tell: Tell = &|window, _| field.symmetric_centre(window);
+    let shift = tell(window, [0.0; 2]).filter(|c| c[0].hypot(c[1]) <= NEAR_CLICKS.max(allowed(of_mean)))?;
+    Some(Settled { shift, sigma: spread(tell, shift).map_or(LEAST_SIGMA, |sigma| sigma.max(LEAST_SIGMA)) })
 }
 
-/// The corner of two edges, likewise.
-fn by_corner(field: &Field, window: &Values, of_mean: f64, spread: impl Fn(Tell, [f64; 2]) -> f64) -> Option<Settled> {
-    let tell: Tell = &|window| field.corner(window, NEAR_CORNER + allowed(of_mean));
-    let shift = tell(window)?;
-    Some(Settled { shift, sigma: spread(tell, shift).max(LEAST_SIGMA) })
+/// The corner of two edges, likewise. One that no two windows show alone is as good as the mean of the clicks.
+fn by_corner(
+    field: &Field,
+    window: &Values,
+    of_mean: f64,
+    spread: impl Fn(Tell, [f64; 2]) -> Option<f64>,
+) -> Option<Settled> {
+    let tell: Tell = &|window, about| field.corner(window, about, NEAR_CORNER + allowed(of_mean));
+    let shift = tell(window, [0.0; 2])?;
+    Some(Settled { shift, sigma: spread(tell, shift).unwrap_or(of_mean).max(LEAST_SIGMA) })
 }
 
 /// The mean of the clicks. Where a centre of symmetry lies further away, that is another point or the clicks are all

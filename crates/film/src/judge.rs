@@ -17,6 +17,7 @@ pub(super) const GOOD_REFERENCE_PX: f64 = 0.5;
 /// A mark lies no further from where the others put it, beyond what marks may disagree, than so many standard
 /// deviations of the place that it was taught by.
 const INEXACT_SIGMAS: f64 = 3.0;
+
 impl Finder {
     pub(super) fn judge(
         &self,

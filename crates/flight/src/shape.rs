@@ -8,9 +8,13 @@ use crate::read::{Reconstruction, TiePoint};
 
 /// Places along each side of a frame that rays go through.
 const PLACES: usize = 3;
-/// How far along a ray points are made, in distances to the nearest other frame: ground as it is seen with much and
-/// with little overlap, and far behind it, where frames that share no ground look at the same points.
-const DEPTHS: [f64; 4] = [2.0, 4.0, 8.0, 16.0];
+/// How far along a ray the first points are made, in distances to the nearest other frame. Each next one is twice as
+/// far: ground as it is seen with much and with little overlap, and far behind it, up to so many times the block's
+/// extent, where frames that share no ground look at the same points.
+const FIRST_DEPTH: f64 = 2.0;
+const EXTENTS: f64 = 2.0;
+/// Of a block whose frames nearly all have a twin beside them, as on a rig.
+const MOST_DEPTHS: usize = 16;
 /// Frames that see one point, at most.
 const MOST_FRAMES: usize = 8;
 
@@ -18,6 +22,11 @@ const MOST_FRAMES: usize = 8;
 pub fn ties_of_poses(model: &Reconstruction) -> Vec<TiePoint> {
     let centres: Vec<Vector3<f64>> = model.photographs.iter().map(|p| p.pose.centre).collect();
     let Some(step) = typical_step(&centres) else { return vec![] };
+    let extent = centres.iter().map(|c| (c - centres[0]).norm()).fold(step, f64::max);
+    let depths: Vec<f64> = std::iter::successors(Some(FIRST_DEPTH * step), |depth| Some(2.0 * depth))
+        .take(MOST_DEPTHS)
+        .take_while(|depth| *depth <= 2.0 * EXTENTS * extent)
+        .collect();
     let mut ties = vec![];
     for photograph in &model.photographs {
         let camera = &model.cameras[photograph.camera];
@@ -26,8 +35,8 @@ pub fn ties_of_poses(model: &Reconstruction) -> Vec<TiePoint> {
             let pixel = [share(place % PLACES) * camera.size_px[0], share(place / PLACES) * camera.size_px[1]];
             let Some(ray) = camera.ray(pixel) else { continue };
             let direction = photograph.pose.rotation.transpose() * Vector3::from(ray);
-            for depth in DEPTHS {
-                let xyz = photograph.pose.centre + direction * (depth * step);
+            for depth in &depths {
+                let xyz = photograph.pose.centre + direction * *depth;
                 let seen = seen_nearest(model, &xyz, &photograph.pose.centre);
                 if seen.len() >= 2 {
                     ties.push(TiePoint { xyz, seen });

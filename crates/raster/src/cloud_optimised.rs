@@ -9,7 +9,8 @@ use crate::error::Result;
 use crate::failed_to_write;
 use crate::written::Written;
 
-/// How overviews are made of the pixels below them.
+/// How overviews are made of the pixels below them; between two numbers of a palette lies none, so that these are taken
+/// from one of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Overviews {
     Cubic,
@@ -30,7 +31,9 @@ pub fn copy(plain: &Path, out: &Path, overviews: Overviews, threads: usize) -> R
     let fits = |side: &usize| side * side * source.raster_count() * sample <= BLOCK_BYTES;
     let block = format!("BLOCKSIZE={}", [512, 256, 128].into_iter().find(fits).unwrap_or(128));
     let threads = format!("NUM_THREADS={}", threads.max(1));
+    let has_palette = source.rasterband(1).map_err(failed)?.color_table().is_some();
     let resampling = match overviews {
+        _ if has_palette => "RESAMPLING=NEAREST",
         Overviews::Cubic => "RESAMPLING=CUBIC",
         Overviews::Average => "RESAMPLING=AVERAGE",
     };

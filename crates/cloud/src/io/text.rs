@@ -63,26 +63,37 @@ fn begin(path: &Path) -> Result<(Schema, TextReader)> {
     Ok((schema, TextReader { path: path.to_path_buf(), file, axes, columns, line, bytes, count, counted: 0 }))
 }
 
-/// The limits of 8 bits, where the first rows have no larger colours; a table says nothing of their kind. Black and
-/// white alone tell nothing.
+/// The limits of 8 bits, where the first rows with a colour have no larger ones; a table says nothing of their kind.
+/// Black and white alone tell nothing, and what can be read once only is not looked at.
 fn colour_limits(path: &Path, schema: &Schema) -> Option<[f64; 2]> {
     const ROWS: usize = 20_000;
+    const MOST_ROWS: usize = 50 * ROWS;
     let of = |names: [&str; 2]| schema.fields.iter().find(|field| names.contains(&field.name.as_str()));
     let fields = [of(["red", "r"])?, of(["green", "g"])?, of(["blue", "b"])?];
+    std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file)?;
     // What is wrong with a row is told when it is read for good.
     let (_, mut reader) = begin(path).ok()?;
-    let (mut batch, mut most) = (Batch::default(), 0.0f64);
-    let read = reader.read(&mut batch, ROWS);
-    for row in batch.raw.chunks_exact(schema.stride).take(batch.len()) {
-        for field in fields {
-            let value = field.value(row);
-            if value.fract() != 0.0 || !(0.0..=255.0).contains(&value) {
-                return None;
+    let mut batch = Batch::default();
+    for _ in 0..MOST_ROWS / ROWS {
+        let read = reader.read(&mut batch, ROWS);
+        let mut most = 0.0f64;
+        for row in batch.raw.chunks_exact(schema.stride).take(batch.len()) {
+            for field in fields {
+                let value = field.value(row);
+                if value.fract() != 0.0 || !(0.0..=255.0).contains(&value) {
+                    return None;
+                }
+                most = most.max(value);
             }
-            most = most.max(value);
+        }
+        if most > 1.0 {
+            return Some([0.0, 255.0]);
+        }
+        if read.is_err() || batch.is_empty() {
+            return None;
         }
     }
-    (read.is_ok() && most > 1.0).then_some([0.0, 255.0])
+    None
 }
 
 impl TextReader {

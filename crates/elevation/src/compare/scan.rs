@@ -202,7 +202,9 @@ fn centre_partial(buffers: &mut Buffers, (width, stride): (usize, usize)) {
                 (true, true) => f64::NAN,
             }
         };
-        a[*index] -= off_px[0] * rise(1) + off_px[1] * rise(stride);
+        // A middle that lies where the cell's does asks nothing of B.
+        let along = |off_px: f64, step: usize| if off_px.abs() > 1e-6 { off_px * rise(step) } else { 0.0 };
+        a[*index] -= along(off_px[0], 1) + along(off_px[1], stride);
     }
 }
 

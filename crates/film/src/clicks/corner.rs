@@ -17,20 +17,26 @@ const BENT: f64 = 0.1;
 const ROUNDS: usize = 8;
 
 impl Field {
-    /// The corner within `reach` of the window's middle, from there; `None` where the edges about it do not all lead to
+    /// The corner within `reach` of a place, both from the window's middle; `None` where the edges about it do not all lead to
     /// one point. After W. Förstner and E. Gülch, "A fast operator for detection and precise location of distinct
     /// points, corners and centres of circular features", 1987: the point that the lines along all edges pass nearest.
-    pub(super) fn corner(&self, window: &Values, reach: f64) -> Option<[f64; 2]> {
+    pub(super) fn corner(&self, window: &Values, about: [f64; 2], reach: f64) -> Option<[f64; 2]> {
         let slopes = self.slopes(window);
-        SHARES.iter().find_map(|share| self.corner_within(&slopes, (share * self.radius as f64).max(4.0), reach))
+        let radii = SHARES.map(|share| (share * self.radius as f64).max(4.0));
+        radii.into_iter().find_map(|radius| self.corner_within(&slopes, radius, (about, reach)))
     }
 
-    fn corner_within(&self, slopes: &[Option<[f64; 2]>], radius: f64, reach: f64) -> Option<[f64; 2]> {
-        let mut at = [0.0; 2];
+    fn corner_within(
+        &self,
+        slopes: &[Option<[f64; 2]>],
+        radius: f64,
+        (about, reach): ([f64; 2], f64),
+    ) -> Option<[f64; 2]> {
+        let mut at = about;
         for _ in 0..ROUNDS {
             let edges = self.edges_about(slopes, at, radius);
             let next = meeting(&edges)?;
-            if next[0].hypot(next[1]) > reach {
+            if (next[0] - about[0]).hypot(next[1] - about[1]) > reach {
                 return None;
             }
             let moved = (next[0] - at[0]).hypot(next[1] - at[1]);

@@ -1,7 +1,7 @@
 //! The windows about places that were pointed at, laid on each other and on themselves turned by half a turn.
 
 use super::super::learn::Grid;
-use super::{LEAST_SIGMA, Values, count};
+use super::{Values, count};
 
 /// Half the side of the disc that is compared, millimetres.
 const DISC_MM: f64 = 1.6;
@@ -108,7 +108,9 @@ impl Field {
         let edges = self.edges(stack);
         for (window, shift) in windows.iter().zip(moved.iter_mut()) {
             let alike = shift.and_then(|s| self.compare(&edges, &self.edges(window), Some(s)));
-            *shift = shift.filter(|_| alike.is_some_and(|(_, a)| a.correlation > ALIKE));
+            // Marks that lie further apart than clicks may be off were laid on each other wrongly.
+            let is_near = |s: &[f64; 2]| s[0].hypot(s[1]) <= self.reach as f64;
+            *shift = shift.filter(|s| is_near(s) && alike.is_some_and(|(_, a)| a.correlation > ALIKE));
         }
         let known: Vec<[f64; 2]> = moved.iter().flatten().copied().collect();
         let mean = [0, 1].map(|d| known.iter().map(|s| s[d]).sum::<f64>() / known.len().max(1) as f64);
@@ -179,21 +181,23 @@ impl Field {
         window.iter().enumerate().map(|(k, v)| v - around(k) as f32).collect()
     }
 
-    /// Standard deviation of a centre that all windows share, by what each tells alone.
+    /// Standard deviation of a centre that all windows share, by what each tells alone about where it must be; `None`
+    /// where fewer than two tell it.
     pub(super) fn spread(
         &self,
         windows: &[&Values],
         moved: &[Option<[f64; 2]>],
         centre: [f64; 2],
-        tell: impl Fn(&Values) -> Option<[f64; 2]>,
-    ) -> f64 {
+        tell: impl Fn(&Values, [f64; 2]) -> Option<[f64; 2]>,
+    ) -> Option<f64> {
         let alone = |(window, shift): (&&Values, &Option<[f64; 2]>)| {
-            let (own, shift) = (tell(window)?, (*shift)?);
+            let shift = (*shift)?;
+            let own = tell(window, [shift[0] + centre[0], shift[1] + centre[1]])?;
             Some((own[0] - shift[0] - centre[0]).powi(2) + (own[1] - shift[1] - centre[1]).powi(2))
         };
         let squares: Vec<f64> = windows.iter().zip(moved).filter_map(alone).collect();
         let n = squares.len() as f64;
-        if n < 2.0 { LEAST_SIGMA } else { (squares.iter().sum::<f64>() / (2.0 * n) / n).sqrt() }
+        (n >= 2.0).then(|| (squares.iter().sum::<f64>() / (2.0 * n) / n).sqrt())
     }
 
     /// How steep the smoothed window is, across and down; `None` at its rim. Both are smoothed alike along and across

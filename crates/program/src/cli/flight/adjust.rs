@@ -63,11 +63,12 @@ const SIGMA_OF_POSES_PX: f64 = 1.0;
 const NO_TIES: &str = "the reconstruction holds no ties: its poses say how its frames lie to each other, as if ties were \
                        good to --sigma-tie (1 px), and its interior orientation is held";
 
-const NOTHING_COMMON: &str = "the reconstruction holds no ties, and its frames see nothing in common: each stands on its \
-                              own points";
+const NOTHING_COMMON: &str = "the reconstruction holds no ties, and its frames stand at one place or see nothing in common: \
+                              each is placed by its own points";
 
-/// Takes out what is said of ties, where all were made of poses.
+/// Takes out what is said of ties, and of the lens by them, where all were made of poses.
 fn forget_ties(found: &mut Adjustment) {
+    found.notes.retain(|note| !note.starts_with("the lens "));
     (found.ties, found.dropped_ties) = (0, 0);
     (found.tie_rms_px, found.tie_mean_px) = (f64::NAN, f64::NAN);
     for photograph in &mut found.photographs {
