@@ -9,7 +9,7 @@
 //!
 //! A field of a chequer is a perfect square by itself. So a region is looked at together with paint that touches it.
 
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2};
 
 use super::Candidate;
 use super::examine::LEAST_CONTRAST;
@@ -205,12 +205,15 @@ fn other_fields(own: &PixelSet, other: &PixelSet, reach_px: usize, most_unlike: 
 }
 
 /// Where the middle of a figure lies, from that of the own paint, if this is one of its two fields: paint of about its
-/// size lies beside it, in the same light or in shadow, the largest such for the other. In pixels to the right and down.
+/// size lies beside it, the largest such for the other. In pixels to the right and down.
 pub(super) fn middle_if_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
     /// Of fields of a few pixels blur leaves more or less, and draws them further apart.
     const MOST_UNLIKE_PART: f64 = 3.0;
     const NEAR_PX: (f64, f64) = (4.0, 9.0);
     let reach = (scene.own.count() as f64).sqrt().clamp(NEAR_PX.0, NEAR_PX.1);
+    if scene.other.and(&scene.own.grown(reach as usize)).is_empty() {
+        return None;
+    }
     // Ground of the paint's colour may join the other field: what is as different from the own paint as ground is, is
     // no field.
     let (paint, ground) = (scene.plateau(), scene.ring_ground()?.mean);
@@ -219,36 +222,9 @@ pub(super) fn middle_if_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
         scene.other.has(i) && (colour - paint).norm_squared() < (colour - ground).norm_squared()
     };
     let other = PixelSet::from_fn(scene.width, scene.height, is_paint);
-    let mut fields = other_fields(&scene.own, &other, reach as usize, MOST_UNLIKE_PART);
-    if fields.is_empty()
-        && let Some(shaded) = shaded_paint(scene)
-    {
-        // Soil in a shadow looks much like it: corner on corner, and as large.
-        fields = other_fields(&scene.own, &shaded, touch_px(&scene.own), MOST_UNLIKE);
-    }
+    let fields = other_fields(&scene.own, &other, reach as usize, MOST_UNLIKE_PART);
     let other = fields.iter().max_by_key(|piece| piece.count())?;
     Some((centroid(other, scene.width) - centroid(&scene.own, scene.width)) / 2.0)
-}
-
-/// What may be the own paint in shadow: darker by as much as shadows make things, and in linear light nearer to the
-/// paint's shares of red, green and blue than to the ground's. `None` where these are much the same.
-fn shaded_paint(scene: &Scene<'_>) -> Option<PixelSet> {
-    const DARKER: std::ops::Range<f64> = 0.1..0.8;
-    /// Of the distance between the shares of paint and of ground.
-    const NEAR: f64 = 0.4;
-    const LEAST_APART: f64 = 0.1;
-    let linear = scene.in_linear_light();
-    let shares = |colour: Vector3<f64>| colour / colour.sum().max(1e-3);
-    let (paint, ground) = (linear.plateau(), linear.ring_ground()?.mean);
-    let apart = (shares(paint) - shares(ground)).norm();
-    let is_shaded = |i: usize| {
-        let colour = linear.colour(i);
-        DARKER.contains(&(colour.sum() / paint.sum())) && (shares(colour) - shares(paint)).norm() < NEAR * apart
-    };
-    // The rim of the mark is blurred into its ground.
-    let around = scene.own.grown(1);
-    let shaded = || PixelSet::from_fn(scene.width, scene.height, is_shaded).and(&scene.valid).minus(&around);
-    (apart >= LEAST_APART).then(shaded)
 }
 
 /// How far from a field paint touches it.

@@ -77,11 +77,11 @@ pub struct Candidate {
 /// What has less area than this is only a part of a mark beside these marks: a field of a chequer, the lit half. Of no
 /// marks 0.
 pub fn least_whole_area_px<'a>(marks: impl Iterator<Item = &'a Candidate>) -> f64 {
-    /// Of the area that nine tenths have: marks may be of two sizes.
+    /// Of the area that three quarters have: marks may be of two sizes.
     const PART: f64 = 0.6;
     let mut areas: Vec<f64> = marks.filter_map(|mark| mark.area_px).collect();
     areas.sort_by(f64::total_cmp);
-    areas.get(areas.len() / 10).map_or(0.0, |small| PART * small)
+    areas.get(areas.len() / 4).map_or(0.0, |small| PART * small)
 }
 
 impl Candidate {
