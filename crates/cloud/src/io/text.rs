@@ -173,7 +173,7 @@ mod tests {
         #![proptest_config(ProptestConfig { cases: 4000, ..ProptestConfig::default() })]
         /// Where the short way answers, it answers what the rules do.
         #[test]
-        fn plain_rows_are_read_by_the_rules(line in "([0-9]{1,3}(\\.[0-9]{0,3})?|-1e3|;|,|\t| |\"|a|é|\u{b}|\r\n){0,12}") {
+        fn plain_rows_are_read_by_the_rules(line in "([0-9]{1,3}(\\.[0-9]{0,3})?|-1e3|;|,|\t| |\"|a|é|\u{b}){0,12}(\r\n)?") {
             let (mut plain, mut full) = (Vec::new(), Vec::new());
             if let Some(count) = plain_numbers(line.as_bytes(), &mut plain) {
                 prop_assert_eq!(numbers(line.trim(), &mut full).or(line.trim().is_empty().then_some(0)), Some(count));
