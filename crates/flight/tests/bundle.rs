@@ -127,6 +127,26 @@ fn a_block_without_ties_keeps_its_shape() {
     }
 }
 
+/// Frames of a rig, each with a twin a decimetre beside it, are tied from station to station all the same.
+#[test]
+fn stations_of_a_rig_are_tied() {
+    let (mut model, _) = block(&mut Draw(77), 6, 60, 8);
+    let twins = model.photographs.clone().into_iter().map(|mut twin| {
+        twin.pose.centre += Vector3::new(0.1, 0.0, 0.0);
+        twin.name.push_str("-twin");
+        twin
+    });
+    model.photographs.extend(twins.collect::<Vec<_>>());
+    let ties = ties_of_poses(&model);
+    let mut station: Vec<usize> = (0..6).collect();
+    for tie in &ties {
+        let seen: Vec<usize> = tie.seen.iter().map(|(frame, _)| station[frame % 6]).collect();
+        let first = seen.iter().copied().min().expect("a tie is seen");
+        station.iter_mut().filter(|s| seen.contains(s)).for_each(|s| *s = first);
+    }
+    assert!(station.iter().all(|s| *s == 0), "{station:?}");
+}
+
 /// An interior orientation that is held and wrong is said, though none of its parameters is adjusted.
 #[test]
 fn a_held_lens_that_is_not_as_stated_is_said() {
