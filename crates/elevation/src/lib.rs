@@ -2,7 +2,8 @@
 //! size.
 //!
 //! The algorithms see heights through [`source::Heights`], in windows, and keep sums whose value does not depend on the
-//! order of their terms ([`autoref_raster::exact_sum`]): the size of the tiles and the number of threads never change a result by a bit.
+//! order of their terms ([`autoref_raster::exact_sum`]): the size of the tiles and the number of threads never change a
+//! result by a bit.
 
 #![deny(unsafe_code)]
 

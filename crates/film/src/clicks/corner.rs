@@ -17,9 +17,10 @@ const BENT: f64 = 0.1;
 const ROUNDS: usize = 8;
 
 impl Field {
-    /// The corner within `reach` of a place, both from the window's middle; `None` where the edges about it do not all lead to
-    /// one point. After W. Förstner and E. Gülch, "A fast operator for detection and precise location of distinct
-    /// points, corners and centres of circular features", 1987: the point that the lines along all edges pass nearest.
+    /// The corner within `reach` of a place, both from the window's middle; `None` where the edges about it do not all
+    /// lead to one point. After W. Förstner and E. Gülch, "A fast operator for detection and precise location of
+    /// distinct points, corners and centres of circular features", 1987: the point that the lines along all edges pass
+    /// nearest.
     pub(super) fn corner(&self, window: &Values, about: [f64; 2], reach: f64) -> Option<[f64; 2]> {
         let slopes = self.slopes(window);
         let radii = SHARES.map(|share| (share * self.radius as f64).max(4.0));

@@ -32,7 +32,8 @@ pub struct FiducialsArgs {
     /// Folder for the results.
     #[arg(short, long = "out", value_name = "DIR", default_value = "fiducials")]
     output: PathBuf,
-    /// Print every frame's result as one line of JSON. A frame that its roll makes doubtful has a second line, which counts.
+    /// Print every frame's result as one line of JSON. A frame that its roll makes doubtful has a second line, which
+    /// counts.
     #[arg(long)]
     json: bool,
 
