@@ -19,6 +19,7 @@ pub(super) const GOOD_REFERENCE_PX: f64 = 0.5;
 const INEXACT_SIGMAS: f64 = 3.0;
 
 impl Finder {
+    /// Enters the marks, each held against the others, the interior orientation and the status in `result`.
     pub(super) fn judge(
         &self,
         options: &FindOptions,

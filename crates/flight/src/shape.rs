@@ -9,8 +9,8 @@ use crate::read::{Reconstruction, TiePoint};
 /// Places along each side of a frame that rays go through.
 const PLACES: usize = 3;
 /// How far along a ray the first points are made, in distances to the nearest other frame. Each next one is twice as
-/// far: ground as it is seen with much and with little overlap, and far behind it, up to so many times the block's
-/// extent, where frames that share no ground look at the same points.
+/// far: ground as it is seen with much and with little overlap, and far behind it, where frames that share no ground
+/// look at the same points; the last is the first beyond so many times the block's extent.
 const FIRST_DEPTH: f64 = 2.0;
 const EXTENTS: f64 = 2.0;
 /// Of a block whose frames nearly all have a twin beside them, as on a rig.

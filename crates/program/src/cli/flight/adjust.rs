@@ -33,7 +33,7 @@ pub struct AdjustArgs {
     /// `none`.
     #[arg(long, value_delimiter = ',', default_value = "f,k1", value_name = "LIST")]
     free: Vec<String>,
-    /// 1σ of ties in the image. Default: from their residuals.
+    /// 1σ of ties in the image. Default: from their residuals, 1 px where a reconstruction holds none.
     #[arg(long, value_name = "PX")]
     sigma_tie: Option<f64>,
     /// Rough camera table whose positions (and directions) count with --sigma-position and --sigma-direction.
