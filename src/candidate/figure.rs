@@ -207,8 +207,11 @@ fn other_fields(own: &PixelSet, other: &PixelSet, reach_px: usize, most_unlike: 
 /// Where the middle of a figure lies, from that of the own paint, if this is one of its two fields: paint of about its
 /// size lies beside it, the largest such for the other. In pixels to the right and down.
 pub(super) fn middle_if_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
-    /// Of fields of a few pixels blur leaves more or less, and draws them further apart.
+    /// Of fields of a few pixels blur leaves more or less, and draws them further apart. Larger ones are as large as each
+    /// other, and show their form: a number beside a mark is no field of it.
     const MOST_UNLIKE_PART: f64 = 3.0;
+    const LARGE_PX: usize = 100;
+    const LEAST_COMMON: f64 = 0.65;
     const NEAR_PX: (f64, f64) = (4.0, 9.0);
     let reach = (scene.own.count() as f64).sqrt().clamp(NEAR_PX.0, NEAR_PX.1);
     if scene.other.and(&scene.own.grown(reach as usize)).is_empty() {
@@ -222,9 +225,34 @@ pub(super) fn middle_if_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
         scene.other.has(i) && (colour - paint).norm_squared() < (colour - ground).norm_squared()
     };
     let other = PixelSet::from_fn(scene.width, scene.height, is_paint);
-    let fields = other_fields(&scene.own, &other, reach as usize, MOST_UNLIKE_PART);
+    let is_large = scene.own.count() >= LARGE_PX;
+    let most_unlike = if is_large { MOST_UNLIKE } else { MOST_UNLIKE_PART };
+    let fields = other_fields(&scene.own, &other, reach as usize, most_unlike);
     let other = fields.iter().max_by_key(|piece| piece.count())?;
-    Some((centroid(other, scene.width) - centroid(&scene.own, scene.width)) / 2.0)
+    let apart = centroid(other, scene.width) - centroid(&scene.own, scene.width);
+    // Of a cross in four bars two lie across.
+    if !is_large || fields.len() > 1 {
+        return Some(apart / 2.0);
+    }
+    let (common, apart) = common_by_half_turn(scene, other, apart);
+    (common > LEAST_COMMON).then_some(apart / 2.0)
+}
+
+/// The share of their pixels that the own paint and another set have in common, when half a turn lays one on the other,
+/// and how far their middles are apart then, near to what is given: the patch may cut the other set, of which only the
+/// pixels of the patch count.
+fn common_by_half_turn(scene: &Scene<'_>, other: &PixelSet, apart: Vector2<f64>) -> (f64, Vector2<f64>) {
+    const REACH_PX: i32 = 10;
+    let ends = 2.0 * centroid(&scene.own, scene.width);
+    let turned: Vec<Vector2<f64>> = scene.own.iter().map(|i| ends - centre_of(i, scene.width)).collect();
+    let steps = || (-REACH_PX..=REACH_PX).map(f64::from);
+    let places = steps().flat_map(|dy| steps().map(move |dx| apart + Vector2::new(dx, dy)));
+    let laid = places.map(|apart| {
+        let shown = turned.iter().filter(|p| has(&scene.valid, *p + apart, scene)).count();
+        let met = turned.iter().filter(|p| has(other, *p + apart, scene)).count();
+        (met as f64 / (shown + other.count() - met) as f64, apart)
+    });
+    laid.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, apart))
 }
 
 /// How far from a field paint touches it.

@@ -15,6 +15,13 @@ pub(crate) struct Examined {
     pub found: Vec<Candidate>,
 }
 
+impl Examined {
+    /// Of the detector's own mask, and no candidate.
+    pub fn is_turned_down(&self) -> bool {
+        self.layer == 0 && self.found.is_empty()
+    }
+}
+
 /// Candidates that stand, by y.
 #[derive(Default)]
 pub(crate) struct Standing {

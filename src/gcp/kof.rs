@@ -9,7 +9,7 @@ use std::path::Path;
 
 use crate::gcp::Gcp;
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
-use crate::gcp::text;
+use crate::gcp::text::number;
 use autoref_raster::error::{Error, Result};
 
 pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
@@ -75,10 +75,6 @@ fn at_blanks(line: &str) -> Option<Gcp> {
         None => None,
     };
     Some(Gcp { height, ..Gcp::control(*name, number(east?)?, number(north?)?) })
-}
-
-fn number(text: &str) -> Option<f64> {
-    text::number(text)
 }
 
 #[cfg(test)]

@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn patterns() {
+    fn stars_and_question_marks_stand_for_letters() {
         for (pattern, text, fits) in [
             ("C*", "C12", true),
             ("c*", "C12", true),

@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn encodings() {
+    fn byte_order_marks_and_latin_letters_are_read() {
         let text = "navn;øst\nP1;1,5\n";
         let utf16 = |big: bool| -> Vec<u8> {
             text.encode_utf16().flat_map(|u| if big { u.to_be_bytes() } else { u.to_le_bytes() }).collect()

@@ -134,7 +134,7 @@ pub(super) fn match_and_orient(job: &Job<'_>, scan: ScanOutcome) -> Result<Run> 
 /// What is said where the paint was seen, but hardly a mark.
 fn of_other_shape(scan: &ScanOutcome) -> Option<String> {
     const FEWEST: u64 = 3;
-    let n = scan.regions_examined;
+    let n = scan.regions_turned_down;
     (scan.candidates.len() < FEWEST as usize && n >= FEWEST).then(|| {
         format!(
             "{n} patches of this paint were looked at and turned down: squares, discs, crosses, rings, chequers and \

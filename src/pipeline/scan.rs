@@ -64,6 +64,9 @@ pub struct ScanOutcome {
     pub candidates: Vec<Candidate>,
     /// Regions that passed the gates, candidates or not.
     pub regions_examined: u64,
+    /// Regions of the detector's own mask that were examined and are no candidates: what the masks beside it show is
+    /// often part of a mark.
+    pub regions_turned_down: u64,
     /// Reading of the scan alone.
     pub scan_reads: ReadStats,
     /// Reading again for marks that straddle tiles.
@@ -144,6 +147,7 @@ pub fn scan(
     Ok(ScanOutcome {
         candidates: detector.finish(one_of_each(examined)),
         regions_examined,
+        regions_turned_down: collected.turned_down,
         scan_reads: difference(scanned, before),
         window_reads: difference(after, scanned),
         timings: ScanTimings { scan_s: seconds(scan_time), examine_s: seconds(examine_started.elapsed()) },
@@ -168,6 +172,8 @@ struct Collected {
     examined: Vec<Examined>,
     /// Regions examined that are no candidates.
     clutter: u64,
+    /// Of these, those of the detector's own mask.
+    turned_down: u64,
     /// Not examined yet.
     straddling: Vec<Straddler>,
 }
@@ -189,8 +195,8 @@ fn scan_tiles(
     let (output_sender, outputs) = crossbeam_channel::bounded::<Result<TileOutput>>(2 * plan.workers);
     std::thread::scope(|scope| {
         let (stop, pace) = (&stop, &pace);
-        // The request itself waits while the disk has enough to do.
-        spawn_named(scope, "fetcher".into(), move || {
+        // The request itself waits while the disk has enough to do. Without a fetcher tiles are read as they are needed.
+        let _ = spawn_named(scope, "fetcher".into(), move || {
             for tile in plan.grid.iter() {
                 if tile.id % FETCHED_TOGETHER == 0 {
                     pace.wait_to_fetch(tile.id + FETCHED_TOGETHER - 1);
@@ -202,6 +208,7 @@ fn scan_tiles(
             }
         });
         let bands = band_pool(&plan.grid, detector.patch_margin_px(), source.info());
+        let mut started = Ok(());
         for index in 0..plan.workers {
             let straddlers = straddlers.clone();
             let bands = bands.clone();
@@ -212,12 +219,22 @@ fn scan_tiles(
                 source, plan, detector, layers, progress, next_tile, pace, stop, in_order, straddlers, bands, span,
             };
             let outputs = output_sender.clone();
-            spawn_named(scope, format!("worker {index}"), move || {
+            let worker = spawn_named(scope, format!("worker {index}"), move || {
                 let _rest = pace.lifted_by_panic();
                 worker.run(&outputs);
             });
+            // A system that starts no more threads gives fewer workers; what they find is the same.
+            if let Err(error) = worker {
+                started = if index == 0 { Err(error) } else { Ok(()) };
+                break;
+            }
         }
         drop(output_sender);
+        if let Err(error) = started {
+            stop.store(true, Ordering::Relaxed);
+            pace.lift();
+            return Err(Error::io(&source.info().path, "start a thread to read", error));
+        }
         let mut collector = Collector::new(source, plan, detector, pace, bands);
         let result = collector.run(&outputs, &straddler_sender);
         // On an error nobody must wait for us for ever.
@@ -236,11 +253,8 @@ fn spawn_named<'scope>(
     scope: &'scope std::thread::Scope<'scope, '_>,
     name: String,
     work: impl FnOnce() + Send + 'scope,
-) {
-    std::thread::Builder::new()
-        .name(name)
-        .spawn_scoped(scope, work)
-        .expect("the system can start a handful of threads");
+) -> std::io::Result<()> {
+    std::thread::Builder::new().name(name).spawn_scoped(scope, work).map(|_| ())
 }
 
 /// Brings together what the workers found, in whatever order the tiles come.
@@ -297,8 +311,10 @@ impl<'a> Collector<'a> {
             let id = output.id;
             let regions = output.examined.len();
             let marks = self.collected.examined.len();
+            let turned_down = output.examined.iter().filter(|one| one.is_turned_down()).count() as u64;
             self.collected.examined.extend(output.examined.into_iter().filter(|one| !one.found.is_empty()));
             self.collected.clutter += (regions + marks - self.collected.examined.len()) as u64;
+            self.collected.turned_down += turned_down;
             let mut complete = output.straddling;
             let _span = tracing::info_span!("merge").entered();
             for (layer, (merger, open)) in self.mergers.iter_mut().zip(output.open).enumerate() {
@@ -354,6 +370,7 @@ impl<'a> Collector<'a> {
             Err(TrySendError::Full(straddler)) => {
                 let examined = examine_straddler(self.source, self.detector, &straddler)?;
                 self.collected.clutter += u64::from(examined.found.is_empty());
+                self.collected.turned_down += u64::from(examined.is_turned_down());
                 self.collected.examined.extend(Some(examined).filter(|one| !one.found.is_empty()));
             }
             // Nobody listens when all workers have ended.

@@ -233,7 +233,7 @@ mod tests {
     use std::time::{Duration, UNIX_EPOCH};
 
     #[test]
-    fn dates() {
+    fn leap_days_and_years_ends_are_dated() {
         assert_eq!(utc(UNIX_EPOCH), "1970-01-01 00:00 UTC");
         assert_eq!(utc(UNIX_EPOCH + Duration::from_secs(951_782_399)), "2000-02-28 23:59 UTC");
         assert_eq!(utc(UNIX_EPOCH + Duration::from_secs(951_782_400)), "2000-02-29 00:00 UTC");

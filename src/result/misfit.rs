@@ -30,9 +30,9 @@ pub enum Misfit {
     Bad { rmse_px: f64, expected_px: f64 },
     /// Centres or survey are known no better.
     Rough { rmse_px: f64 },
-    /// Beside many matched marks lie other candidates, nearer than a mark is wide: parts of marks were measured. Parts
-    /// that lie alike in their marks fit each other as well as the marks would.
-    InPieces { marks: usize, of: usize },
+    /// Of many matched marks a part was measured. Parts that lie alike in their marks fit each other as well as the
+    /// marks would. `off_px` is how far a part may lie from the middle of its mark, the median.
+    InPieces { marks: usize, of: usize, off_px: f64 },
 }
 
 impl Misfit {
@@ -40,9 +40,11 @@ impl Misfit {
     /// it. `None` where the points fit, or nothing tells. Residuals count for the degrees of freedom that are left.
     pub fn of(run: &SolvedRun, candidates: &[Candidate]) -> Option<Misfit> {
         let rows = &run.matches;
-        let marks = in_pieces(rows, candidates);
+        let mut off_px = in_pieces(rows, candidates);
+        let marks = off_px.len();
         if marks >= 3 && marks as f64 >= LEAST_IN_PIECES * rows.len() as f64 {
-            return Some(Misfit::InPieces { marks, of: rows.len() });
+            off_px.sort_unstable_by(f64::total_cmp);
+            return Some(Misfit::InPieces { marks, of: rows.len(), off_px: off_px[marks / 2] });
         }
         let (n, scale) = (rows.len() as f64, run.fit.scale_m_per_px);
         let is_affine = run.chosen_model.as_ref().is_some_and(|model| model["model"] == "affine");
@@ -73,6 +75,14 @@ impl Misfit {
         Some(if bad { Misfit::Bad { rmse_px, expected_px } } else { Misfit::Rough { rmse_px } })
     }
 
+    /// How far the whole image may be off beyond what the residuals show, in 95 of 100 cases, pixels.
+    pub fn common_95_px(&self) -> f64 {
+        match self {
+            Misfit::InPieces { off_px, .. } => *off_px,
+            Misfit::Stretched { .. } | Misfit::Bad { .. } | Misfit::Rough { .. } => 0.0,
+        }
+    }
+
     /// One line for the verdict.
     pub fn verdict(&self) -> String {
         match self {
@@ -87,7 +97,7 @@ impl Misfit {
                 "solved, but the points fit only to {rmse_px:.1} px: where parts of marks were measured, all of it is \
                  farther off"
             ),
-            Misfit::InPieces { marks, of } => format!(
+            Misfit::InPieces { marks, of, .. } => format!(
                 "solved, but {marks} of {of} marks lie in pieces, of which one was measured: do not trust it to less than \
                  a mark's width"
             ),
@@ -110,28 +120,42 @@ impl Misfit {
                 "residuals of {rmse_px:.1} px, which the uncertain centres of the marks or the stated survey allow: {parts}, \
                  or they are worn or covered"
             ),
-            Misfit::InPieces { marks, of } => format!(
-                "beside {marks} of {of} marks lie other candidates, nearer than a mark is wide: {parts}, and the whole \
-                 image may be as far off as a mark is wide; name the size too (--mark-size)"
+            Misfit::InPieces { marks, of, .. } => format!(
+                "{marks} of {of} marks lie in pieces: other candidates lie beside them, or their centres are uncertain by a \
+                 good part of their width; {parts}, and the whole image may be as far off as a mark is wide; name the size \
+                 too (--mark-size)"
             ),
         }
     }
 }
 
-/// How many matched marks have another candidate beside them, nearer than they are wide.
-fn in_pieces(rows: &[MatchRow], candidates: &[Candidate]) -> usize {
-    /// In sides of the candidate.
-    const BESIDE: f64 = 1.3;
+/// Of the matched marks of which a part may have been measured, how far that may be from their middle, pixels: another
+/// candidate of about the size lies beside them, nearer than they are wide, or their centre is stated to be as uncertain
+/// as only a part's is.
+fn in_pieces(rows: &[MatchRow], candidates: &[Candidate]) -> Vec<f64> {
+    /// In sides of the candidate; what is nearer than the first is the same mark, seen twice (a ring and its disc).
+    const BESIDE: std::ops::Range<f64> = 0.15..1.3;
+    /// A number that is painted beside a mark is smaller.
+    const MOST_UNLIKE: f64 = 4.0;
+    /// Standard deviation of the centre, in sides.
+    const UNCERTAIN: f64 = 0.25;
     const LEAST_SIDE_PX: f64 = 4.0;
-    let beside = |row: &&MatchRow| {
+    /// Radius that holds 95 of 100 errors of both coordinates, in standard deviations of one.
+    const RAYLEIGH_95: f64 = 2.4477;
+    let side_px = |candidate: &Candidate| candidate.area_px.map(|area| area.sqrt().max(LEAST_SIDE_PX));
+    let in_part = |row: &MatchRow| {
         let distance = |c: &Candidate| (c.centre.x - row.x).hypot(c.centre.y - row.y);
         let own = candidates.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
-        let Some(side_px) = own.and_then(|own| own.area_px).map(|area| area.sqrt().max(LEAST_SIDE_PX)) else {
-            return false;
+        let side = own.and_then(side_px)?;
+        let is_beside = |c: &Candidate| {
+            let unlike = side_px(c).map_or(1.0, |other| (other / side).max(side / other).powi(2));
+            BESIDE.contains(&(distance(c) / side)) && unlike < MOST_UNLIKE
         };
-        candidates.iter().filter(|c| distance(c) < BESIDE * side_px).count() > 1
+        let sigma_px = row.covariance_px2.map_or(0.0, |c| ((c[0] + c[2]) / 2.0).sqrt());
+        let is_in_part = sigma_px > UNCERTAIN * side || candidates.iter().any(is_beside);
+        is_in_part.then_some(side.max(RAYLEIGH_95 * sigma_px))
     };
-    rows.iter().filter(beside).count()
+    rows.iter().filter_map(in_part).collect()
 }
 
 /// RMS of the lengths of residuals, for the degrees of freedom that are left: `taken` is how many points' worth the fit
@@ -173,8 +197,17 @@ mod tests {
             |x: f64, area_px: f64| Candidate { area_px: Some(area_px), ..Candidate::at(PixelPoint { x, y: 50.0 }) };
         let rows: Vec<MatchRow> = [100.0, 200.0, 300.0].map(row).into();
         let alone: Vec<Candidate> = [100.1, 200.0, 300.0, 250.0].map(|x| candidate(x, 100.0)).into();
-        assert_eq!(in_pieces(&rows, &alone), 0);
+        assert!(in_pieces(&rows, &alone).is_empty());
         let pieces = [candidate(109.0, 30.0), candidate(212.0, 30.0), candidate(320.0, 30.0)];
-        assert_eq!(in_pieces(&rows, &[&alone[..], &pieces[..]].concat()), 2, "20 px away is another thing");
+        let both = |other: &[Candidate]| in_pieces(&rows, &[&alone[..], other].concat());
+        assert_eq!(both(&pieces), [10.0, 10.0], "20 px away is another thing");
+        let ring_and_disc = [100.2, 200.3].map(|x| candidate(x, 40.0));
+        assert!(both(&ring_and_disc).is_empty(), "the same mark seen twice");
+        let numbers = [109.0, 209.0].map(|x| candidate(x, 20.0));
+        assert!(both(&numbers).is_empty(), "small digits beside the marks");
+        let mut uncertain = rows.clone();
+        uncertain[2].covariance_px2 = Some([9.0, 0.0, 9.0]);
+        uncertain[1].covariance_px2 = Some([1.0, 0.0, 1.0]);
+        assert_eq!(in_pieces(&uncertain, &alone), [10.0]);
     }
 }

@@ -169,6 +169,9 @@ pub struct MatchRow {
     pub height: Option<f64>,
     /// 1σ of the survey in each of easting and northing, metres.
     pub survey_sigma_m: Option<f64>,
+    /// The same of its height.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub survey_sigma_height_m: Option<f64>,
     /// Surveyed − computed.
     pub residual_e_m: f64,
     pub residual_n_m: f64,

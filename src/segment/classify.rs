@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use super::table::ColourTable;
 use crate::profile::Profile;
-use crate::profile::colour::{Cloud, Space, lab_from_srgb};
+use crate::profile::colour::{Cloud, Space};
 use crate::segment::kernels::Prefilter;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::{PixelRow, SampleType, Samples};
@@ -287,12 +287,6 @@ fn scale(sample: u16, white: u16) -> u8 {
         return sample.min(255) as u8;
     }
     ((255 * u32::from(sample) + u32::from(white) / 2) / u32::from(white)).min(255) as u8
-}
-
-/// L\*a\*b\* of an 8-bit colour, for whoever measures distances to what a classifier took.
-pub fn lab_of(colour: [u8; 3]) -> [f64; 3] {
-    let lab = lab_from_srgb(colour.map(|v| f64::from(v) / 255.0));
-    [lab[0], lab[1], lab[2]]
 }
 
 #[cfg(test)]

@@ -176,6 +176,7 @@ fn edges_and_emptiness_are_answered() {
     let profile = Profile::builtin("orange").expect("shipped");
     let classifier = Classifier::new(&profile, SampleType::U8, 255, [0, 1, 2], None, None).expect("valid");
     let gates = Gates::new(&profile, None).expect("pixels");
+    let mut found = 0;
     for (width, height, side, ground) in [(40, 40, 10, 90u8), (12, 12, 10, 90), (10, 10, 10, 90), (3, 60, 3, 0)] {
         let mut rgb = vec![[ground; 3]; width * height];
         for (y, x) in (0..side.min(height)).flat_map(|y| (0..side.min(width)).map(move |x| (y, x))) {
@@ -190,6 +191,7 @@ fn edges_and_emptiness_are_answered() {
             let mut seen = patch(&picture, 0.0, 0.0, 100);
             let candidate = examine(&region, &seen, &classifier, &profile, &gates);
             if let Some(c) = candidate {
+                found += 1;
                 assert!(c.centre.x.is_finite() && c.centre.y.is_finite());
                 assert!(c.covariance_px2.is_some_and(|v| v[0] > 0.0 && v[2] > 0.0));
             }
@@ -197,5 +199,6 @@ fn edges_and_emptiness_are_answered() {
             assert!(examine(&region, &seen, &classifier, &profile, &gates).is_none());
         }
     }
+    assert!(found >= 1, "the mark in the corner of the largest picture is whole");
     assert!(Detector::new(profile).list(&Picture { width: 1, height: 1, rgb: vec![[255, 110, 20]] }).is_empty());
 }

@@ -177,7 +177,7 @@ fn degrees_under_a_map_are_refused() {
 }
 
 #[test]
-fn remedies_work() {
+fn what_a_refusal_advises_makes_the_list_readable() {
     let feet = |titles: &str| format!("name,{titles}\nA,1640420.5,15255170.1\nB,1640520.5,15255270.1\n");
     let (easting, northing) = ("Easting (US ft)", "Northing (US ft)");
     refused("EPSG:25830", &feet("Easting,Northing"), &["if they were feet", easting, northing, "--crs that counts"]);

@@ -211,7 +211,7 @@ fn numbers_that_a_spreadsheet_rounded_are_refused() {
 }
 
 #[test]
-fn turkish_names() {
+fn turkish_axis_names_are_read_in_their_order() {
     for title in ["NN", "N.N"] {
         let text = format!("{title}\tY\tX\tH\nA\t500123.4\t4420123.4\t900\nB\t500223.4\t4420223.4\t901\n");
         let list = read("l.txt", &text, "EPSG:5253", None).expect("read");

@@ -1,5 +1,7 @@
 //! Crops: by height, by distance from a camera, by polygon.
 
+use autoref_raster::rings::SidesByNorthing;
+
 use crate::error::{Error, Result};
 
 /// What lies outside becomes noise; all coordinates are the map's.
@@ -71,9 +73,9 @@ struct Side {
 /// are rings inside others.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polygon {
-    /// Of each band of northings the sides that reach into it, area by area.
-    bands: Vec<Vec<Side>>,
-    band_height: f64,
+    /// Area by area.
+    sides: Vec<Side>,
+    by_northing: SidesByNorthing,
     min: [f64; 2],
     max: [f64; 2],
 }
@@ -93,22 +95,8 @@ impl Polygon {
             // A level side is never crossed.
             sides.extend(ends.filter(|(a, b)| a[1] != b[1]).map(|(&from, &to)| Side { from, to, area }));
         }
-        // Long sides reach into many bands: fewer bands then, so that the lists stay about as long as the sides.
-        let heights: f64 = sides.iter().map(|s| (s.from[1] - s.to[1]).abs() / (max[1] - min[1])).sum();
-        let fitting = (4.0 * sides.len() as f64 / heights).max(64.0) as usize;
-        let count = sides.len().min(fitting).clamp(1, 4096);
-        let band_height = ((max[1] - min[1]) / count as f64).max(f64::MIN_POSITIVE);
-        let mut polygon = Polygon { bands: vec![Vec::new(); count], band_height, min, max };
-        for side in sides {
-            let (low, high) = (side.from[1].min(side.to[1]), side.from[1].max(side.to[1]));
-            let (first, last) = (polygon.band(low), polygon.band(high));
-            polygon.bands[first..=last].iter_mut().for_each(|band| band.push(side));
-        }
-        polygon
-    }
-
-    fn band(&self, y: f64) -> usize {
-        (((y - self.min[1]) / self.band_height) as usize).min(self.bands.len() - 1)
+        let spans: Vec<(f64, f64)> = sides.iter().map(|s| (s.from[1].min(s.to[1]), s.from[1].max(s.to[1]))).collect();
+        Polygon { sides, by_northing: SidesByNorthing::new(&spans), min, max }
     }
 
     /// Whether a ray towards the east crosses the rings of an area an odd number of times.
@@ -119,12 +107,14 @@ impl Polygon {
         if !(within(0) && within(1)) {
             return false;
         }
-        let crosses = |side: &&Side| {
+        let crosses = |side: &Side| {
             let (a, b) = (side.from, side.to);
             (a[1] > y) != (b[1] > y) && x < (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]) + a[0]
         };
-        let of_areas = self.bands[self.band(y)].chunk_by(|one, other| one.area == other.area);
-        of_areas.into_iter().any(|sides| sides.iter().filter(crosses).count() % 2 == 1)
+        let side = |number: &u32| &self.sides[*number as usize];
+        let near = self.by_northing.near(y);
+        let of_areas = near.chunk_by(|one, other| side(one).area == side(other).area);
+        of_areas.into_iter().any(|sides| sides.iter().filter(|number| crosses(side(number))).count() % 2 == 1)
     }
 }
 

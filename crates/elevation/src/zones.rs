@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use autoref_raster::rings::SidesByNorthing;
+
 use crate::grid::GroundUnit;
 
 /// One side of a ring.
@@ -17,10 +19,7 @@ struct Edge {
 #[derive(Clone, Debug, Default)]
 pub struct Zones {
     edges: Vec<Edge>,
-    /// Indices of the edges that reach into each band of y.
-    bands: Vec<Vec<u32>>,
-    y_low: f64,
-    band_height: f64,
+    by_northing: SidesByNorthing,
     names: Vec<String>,
 }
 
@@ -57,7 +56,7 @@ pub type Ring = Vec<(f64, f64)>;
 impl Zones {
     /// Each area with its name and all its rings, holes included.
     pub fn new(areas: impl IntoIterator<Item = (String, Vec<Ring>)>) -> Self {
-        let (mut edges, mut names) = (Vec::new(), Vec::new());
+        let (mut edges, mut names): (Vec<Edge>, _) = (Vec::new(), Vec::new());
         for (name, rings) in areas {
             let zone = names.len() as u32;
             names.push(name);
@@ -71,21 +70,8 @@ impl Zones {
                 }
             }
         }
-        let y_low = edges.iter().map(|e| e.low.1).fold(f64::INFINITY, f64::min);
-        let y_high = edges.iter().map(|e| e.high.1).fold(f64::NEG_INFINITY, f64::max);
-        // Long edges reach into many bands: fewer bands then, so that the lists stay about as long as the edges.
-        let heights: f64 = edges.iter().map(|e| (e.high.1 - e.low.1) / (y_high - y_low)).sum();
-        let fitting = (4.0 * edges.len() as f64 / heights).max(64.0) as usize;
-        let count = edges.len().min(fitting).clamp(1, 4096);
-        let band_height = ((y_high - y_low) / count as f64).max(f64::MIN_POSITIVE);
-        let mut bands = vec![Vec::new(); if edges.is_empty() { 0 } else { count }];
-        for (i, edge) in edges.iter().enumerate() {
-            let band = |y: f64| (((y - y_low) / band_height) as usize).min(count - 1);
-            for list in &mut bands[band(edge.low.1)..=band(edge.high.1)] {
-                list.push(i as u32);
-            }
-        }
-        Zones { edges, bands, y_low, band_height, names }
+        let spans: Vec<(f64, f64)> = edges.iter().map(|e| (e.low.1, e.high.1)).collect();
+        Zones { edges, by_northing: SidesByNorthing::new(&spans), names }
     }
 
     pub fn names(&self) -> &[String] {
@@ -156,12 +142,9 @@ impl Zones {
 
     /// Area, first cell and the one after the last of all stretches inside areas, area by area.
     fn spans(&self, y: f64, (x0, step): (f64, f64), cells: usize, mut see: impl FnMut(u32, usize, usize)) {
-        let band = (y - self.y_low) / self.band_height;
-        if self.bands.is_empty() || !(0.0..=self.bands.len() as f64).contains(&band) {
-            return;
-        }
-        let list = &self.bands[(band as usize).min(self.bands.len() - 1)];
-        let mut crossings: Vec<(u32, f64)> = list
+        let mut crossings: Vec<(u32, f64)> = self
+            .by_northing
+            .near(y)
             .iter()
             .map(|&i| &self.edges[i as usize])
             .filter(|e| e.low.1 <= y && y < e.high.1)

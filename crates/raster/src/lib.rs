@@ -52,6 +52,7 @@ mod pool;
 pub mod protected;
 pub mod random;
 pub mod referred;
+pub mod rings;
 pub mod sets;
 pub mod simd;
 pub mod srgb;

@@ -102,14 +102,6 @@ impl Scene {
         Scene::build(spec, store)
     }
 
-    /// As [`Scene::new`], with photographs that are decoded already (their paths in the spec are not opened).
-    ///
-    /// # Errors
-    /// [`Error::Usage`] when the spec contradicts itself.
-    pub fn with_photos(spec: &SynthSpec, photos: Arc<PhotoStore>) -> Result<Scene> {
-        Scene::build(spec, Some(photos))
-    }
-
     fn build(spec: &SynthSpec, store: Option<Arc<PhotoStore>>) -> Result<Scene> {
         check(spec)?;
         let mut spec = spec.clone();

@@ -10,7 +10,7 @@ use crate::clean::{Cleaning, clean};
 use crate::entropy::{RADIUS_PX, entropy};
 use crate::features::{FEATURES, FrameScale, Measured};
 use crate::forest::Forest;
-use crate::judge::{keep_doubtful, kept_though_even, mask_clouds};
+use crate::judge::{Evidence, keep_doubtful, kept_though_even, mask_clouds};
 use crate::knn::Neighbours;
 use crate::mirror::mask_mirrored;
 use crate::model::{CORE_PX, frame_scale, measured};
@@ -31,8 +31,8 @@ pub enum Classifier {
 pub struct Learned {
     pub forest: Forest<FEATURES>,
     pub known: Known,
-    /// A person taught, too.
-    pub taught: bool,
+    /// What it would have learned of what ships alone, where a frame was taught.
+    pub shipped: Option<Forest<FEATURES>>,
 }
 
 /// What cleans the classes.
@@ -70,11 +70,39 @@ pub struct Classes {
     pub kept_though_even: Option<f64>,
 }
 
-/// What one tile tells: votes, fineness where areas are judged by it, and what is far from all that was taught.
+/// What one tile tells: votes, what masked areas are judged by, and what is far from all that was taught.
 struct Told {
     votes: Vec<u8>,
     fineness: Vec<u8>,
+    /// Votes of what ships alone, where a frame was taught.
+    shipped: Vec<u8>,
     seen: Seen,
+}
+
+/// What a forest tells of a frame's pixels, one byte each.
+struct Votes {
+    probability: Plane,
+    fineness: Plane,
+    /// Of what ships alone, where a frame was taught.
+    shipped: Option<Plane>,
+}
+
+impl Votes {
+    fn new(learned: &Learned, width: usize, height: usize, memory_bytes: u64) -> Result<Votes> {
+        let plane = || Plane::new(width, height, memory_bytes);
+        let shipped = learned.shipped.as_ref().map(|_| plane()).transpose()?;
+        Ok(Votes { probability: plane()?, fineness: plane()?, shipped })
+    }
+
+    fn write(&mut self, core: &Window, told: &Told) -> Result<()> {
+        self.probability.write(core, &told.votes)?;
+        self.fineness.write(core, &told.fineness)?;
+        self.shipped.as_mut().map_or(Ok(()), |plane| plane.write(core, &told.shipped))
+    }
+
+    fn evidence(&self) -> Evidence<'_> {
+        Evidence { votes: &self.probability, fineness: &self.fineness, shipped: self.shipped.as_ref() }
+    }
 }
 
 /// Classifies every pixel and cleans the classes.
@@ -85,20 +113,11 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
     let (width, height) = (reduced.grey.width(), reduced.grey.height());
     let mut keep = BitMask::new(width, height);
     let mut unsure = matches!(classifier, Classifier::Forest(_)).then(|| BitMask::new(width, height));
-    let scale = match classifier {
-        Classifier::Forest(_) => Some(frame_scale(reduced)?),
-        _ => None,
-    };
-    let mut probability = match &scale {
-        Some(_) => Some(Plane::new(width, height, memory_bytes)?),
-        None => None,
-    };
-    // Areas are judged by their texture as long as nobody taught.
-    let mut fineness = match (classifier, cleaner) {
-        (Classifier::Forest(learned), Cleaner::Areas(_)) if !learned.taught => {
-            Some(Plane::new(width, height, memory_bytes)?)
+    let (scale, mut votes) = match classifier {
+        Classifier::Forest(learned) => {
+            (Some(frame_scale(reduced)?), Some(Votes::new(learned, width, height, memory_bytes)?))
         }
-        _ => None,
+        _ => (None, None),
     };
     let mut seen = Seen::default();
     let grid = TileGrid::new(width as u64, height as u64, CORE_PX, CORE_PX, 0);
@@ -113,9 +132,8 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
             })
             .collect();
         for one in done {
-            let (core, Told { votes, fineness: fine, seen: here }) = one?;
-            seen.add(here);
-            for (i, &vote) in votes.iter().enumerate() {
+            let (core, told) = one?;
+            for (i, &vote) in told.votes.iter().enumerate() {
                 let x = core.x as usize + i % core.width as usize;
                 let y = core.y as usize + i / core.width as usize;
                 keep.set(x, y, vote > KEEP_ABOVE);
@@ -123,12 +141,10 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
                     unsure.set(x, y, UNSURE.contains(&vote));
                 }
             }
-            if let Some(plane) = &mut probability {
-                plane.write(&core, &votes)?;
+            if let Some(votes) = &mut votes {
+                votes.write(&core, &told)?;
             }
-            if let Some(plane) = &mut fineness {
-                plane.write(&core, &fine)?;
-            }
+            seen.add(told.seen);
         }
     }
     // What holds nothing is no ground; it must not be closed over either.
@@ -136,12 +152,22 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
     if let Some(unsure) = &mut unsure {
         unsure.and(&reduced.valid);
     }
-    keep = match cleaner {
+    keep = cleaned(keep, cleaner, reduced, votes.as_ref())?;
+    let unlike = scale.map(|_| seen.share());
+    let probability = votes.map(|votes| votes.probability);
+    let even = probability.as_ref().map(|votes| kept_though_even(&keep, votes, &reduced.valid)).transpose()?;
+    Ok(Classes { keep, unsure, probability, unlike, kept_though_even: even })
+}
+
+/// The mask of the pixels that `keep` has one by one.
+fn cleaned(keep: BitMask, cleaner: &Cleaner, reduced: &Reduced, votes: Option<&Votes>) -> Result<BitMask> {
+    let mut keep = match cleaner {
         Cleaner::Thesis(cleaning) => clean(keep, cleaning),
         Cleaner::Nothing => keep,
         Cleaner::Areas(share) => {
-            if let Some(votes) = &probability {
-                keep_doubtful(&mut keep, votes, fineness.as_ref(), &reduced.valid)?;
+            let mut keep = keep;
+            if let Some(votes) = votes {
+                keep_doubtful(&mut keep, &votes.evidence(), &reduced.valid)?;
                 mask_clouds(&mut keep);
                 mask_mirrored(&mut keep, &reduced.grey, &reduced.valid)?;
             }
@@ -151,9 +177,7 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
         }
     };
     keep.and(&reduced.valid);
-    let unlike = scale.map(|_| seen.share());
-    let even = probability.as_ref().map(|votes| kept_though_even(&keep, votes, &reduced.valid)).transpose()?;
-    Ok(Classes { keep, unsure, probability, unlike, kept_though_even: even })
+    Ok(keep)
 }
 
 /// What the pixels of `core` tell: the probability of keep, 0…255, and how many of those that were looked at are far
@@ -169,7 +193,17 @@ fn told(reduced: &Reduced, classifier: &Classifier, scale: Option<&FrameScale>, 
             (y + margin) * measured.width + margin..(y + margin) * measured.width + margin + core.width as usize
         };
         let fineness = (0..core.height as usize).flat_map(|y| measured.fineness()[inner(y)].iter().copied()).collect();
-        return Ok(Told { votes: smooth_votes(&votes, measured.width, measured.height), fineness, seen });
+        let votes = smooth_votes(&votes, measured.width, measured.height);
+        // Means over masked areas are all that is asked of these votes: no other pixels, and not smoothed.
+        let shipped = match &learned.shipped {
+            Some(forest) => (0..core.height as usize)
+                .flat_map(inner)
+                .zip(&votes)
+                .map(|(i, &kept)| if kept > KEEP_ABOVE { 0 } else { vote(forest, scale, &measured, i) })
+                .collect(),
+            None => Vec::new(),
+        };
+        return Ok(Told { votes, fineness, shipped, seen });
     }
     let bounds = Window::whole(reduced.grey.width() as u64, reduced.grey.height() as u64);
     let read = core.grown(RADIUS_PX as u64, &bounds);
@@ -188,7 +222,7 @@ fn told(reduced: &Reduced, classifier: &Classifier, scale: Option<&FrameScale>, 
             out.push(if kept { 255 } else { 0 });
         }
     }
-    Ok(Told { votes: out, fineness: Vec::new(), seen: Seen::default() })
+    Ok(Told { votes: out, fineness: Vec::new(), shipped: Vec::new(), seen: Seen::default() })
 }
 
 /// Looks at the lattice's pixels in `core` that show something.

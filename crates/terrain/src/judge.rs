@@ -29,6 +29,15 @@ const LIMITS: [f64; 2] = [40.0, 130.0];
 /// The same where one of the flight's frames was taught: 0.35. Its votes know this ground, whatever its texture.
 const LIMIT_TAUGHT: f64 = 90.0;
 
+/// Where a frame was taught, an area whose mean vote is above 0.24, but by what ships alone below 0.6, must also be one
+/// that what ships would mask, with this much more than its limit: a field that looks somewhat like water to both is a
+/// field if its texture says so. Above 0.6 only the taught frame knows that this is no ground.
+///
+/// Source: 75 pairs of the teaching list and the 12 of `docs/masks.md`.
+const CERTAIN_TAUGHT: f64 = 60.0;
+const SHIPS_DOUBTS_BELOW: f64 = 153.0;
+const LIMIT_MORE: f64 = 20.0;
+
 /// Fineness of equal Laplacian and gradient, as `features` writes ratios.
 const EQUAL: f64 = 128.0;
 
@@ -37,38 +46,65 @@ fn limit(fineness: f64, upper_border: f64) -> f64 {
     (by_texture + LIMIT_UPPER_BORDER * upper_border).clamp(LIMITS[0], LIMITS[1])
 }
 
+/// What masked areas are judged by, one byte a pixel.
+pub struct Evidence<'a> {
+    /// 0 mask … 255 keep.
+    pub votes: &'a Plane,
+    /// As [`crate::features::Measured::fineness`] writes it.
+    pub fineness: &'a Plane,
+    /// Votes of what ships alone, where a frame was taught.
+    pub shipped: Option<&'a Plane>,
+}
+
 /// What is summed over an area.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     votes: u64,
     fineness: u64,
+    shipped: u64,
     pixels: u64,
     upper_border: u64,
 }
 
-/// Turns the masked areas over to keep whose mean of `votes` (0 mask … 255 keep) is above what their mean `fineness`
-/// and their share of the upper border allow; without `fineness`, above what is taught allows. Pixels outside `valid`
-/// take no part; an area of such pixels alone stays.
+impl Sums {
+    /// Is an area of these sums, in a frame of `width` pixels, no ground? Means are of its pixels that hold something.
+    fn stays_masked(&self, width: usize, taught: bool) -> bool {
+        let mean = |sum: u64| sum as f64 / self.pixels as f64;
+        let by_texture = limit(mean(self.fineness), self.upper_border as f64 / width as f64);
+        if !taught {
+            return mean(self.votes) <= by_texture;
+        }
+        let (vote, shipped) = (mean(self.votes), mean(self.shipped));
+        let ships_agrees = shipped >= SHIPS_DOUBTS_BELOW || shipped <= by_texture + LIMIT_MORE;
+        vote <= CERTAIN_TAUGHT || (vote <= LIMIT_TAUGHT && ships_agrees)
+    }
+}
+
+/// Turns the masked areas over to keep whose mean vote is above what their mean fineness and their share of the upper
+/// border allow; where a frame was taught, above what that allows ([`LIMIT_TAUGHT`], [`SHIPS_DOUBTS_BELOW`]). Pixels
+/// outside `valid` take no part; an area of such pixels alone stays.
 ///
 /// # Errors
 /// When a plane cannot be read.
-pub fn keep_doubtful(mask: &mut BitMask, votes: &Plane, fineness: Option<&Plane>, valid: &BitMask) -> Result<()> {
+pub fn keep_doubtful(mask: &mut BitMask, evidence: &Evidence<'_>, valid: &BitMask) -> Result<()> {
     let areas = Areas::of(mask, false);
     let mut sums = vec![Sums::default(); areas.runs.len()];
-    let (mut vote, mut fine) = (Vec::new(), None);
+    let (mut vote, mut fine, mut shipped) = (Vec::new(), Vec::new(), None);
     let mut row = None;
     for (run, &root) in areas.runs.iter().zip(&areas.root) {
         if row != Some(run.row) {
-            let window = Window::new(0, u64::from(run.row), votes.width() as u64, 1);
-            vote = votes.read(&window)?;
-            fine = fineness.map(|plane| plane.read(&window)).transpose()?;
+            let window = Window::new(0, u64::from(run.row), mask.width() as u64, 1);
+            vote = evidence.votes.read(&window)?;
+            fine = evidence.fineness.read(&window)?;
+            shipped = evidence.shipped.map(|plane| plane.read(&window)).transpose()?;
             row = Some(run.row);
         }
         let sum = &mut sums[root as usize];
         for x in run.start as usize..run.end as usize {
             if valid.get(x, run.row as usize) {
                 sum.votes += u64::from(vote[x]);
-                sum.fineness += fine.as_ref().map_or(0, |fine| u64::from(fine[x]));
+                sum.fineness += u64::from(fine[x]);
+                sum.shipped += shipped.as_ref().map_or(0, |shipped| u64::from(shipped[x]));
                 sum.pixels += 1;
             }
         }
@@ -76,18 +112,10 @@ pub fn keep_doubtful(mask: &mut BitMask, votes: &Plane, fineness: Option<&Plane>
             sum.upper_border += run.pixels();
         }
     }
-    let width = mask.width() as f64;
+    let width = mask.width();
     for (run, &root) in areas.runs.iter().zip(&areas.root) {
-        let sum = sums[root as usize];
-        if sum.pixels == 0 {
-            continue;
-        }
-        let pixels = sum.pixels as f64;
-        let limit = match fineness {
-            Some(_) => limit(sum.fineness as f64 / pixels, sum.upper_border as f64 / width),
-            None => LIMIT_TAUGHT,
-        };
-        if sum.votes as f64 / pixels > limit {
+        let sum = &sums[root as usize];
+        if sum.pixels > 0 && !sum.stays_masked(width, evidence.shipped.is_some()) {
             mask.fill_run(run.row as usize, run.start as usize, run.end as usize, true);
         }
     }
@@ -239,11 +267,24 @@ mod tests {
         let valid = BitMask::from_fn(40, 4, |x, _| x < 30);
         let votes = plane(40, 4, |x, _| if x < 10 { 30 } else { 70 });
         let fineness = plane(40, 4, |x, _| if x < 20 { 115 } else { 135 });
-        let mut taught = keep.clone();
-        keep_doubtful(&mut keep, &votes, Some(&fineness), &valid).expect("read");
+        let evidence = Evidence { votes: &votes, fineness: &fineness, shipped: None };
+        keep_doubtful(&mut keep, &evidence, &valid).expect("read");
         assert_eq!([3, 13, 23, 33].map(|x| keep.get(x, 2)), [false, true, false, false]);
-        keep_doubtful(&mut taught, &votes, None, &valid).expect("read");
-        assert_eq!([3, 13, 23, 33].map(|x| taught.get(x, 2)), [false; 4]);
+    }
+
+    #[test]
+    fn where_a_frame_was_taught_what_ships_has_its_say_on_what_it_doubts() {
+        // Six areas, soft but the third: what is taught masks the first five, the fifth for certain; to what ships the
+        // first is ground, the others look like water, the fourth the more so.
+        let votes = plane(60, 4, |x, _| [80, 80, 80, 80, 50, 95][x / 10]);
+        let shipped = plane(60, 4, |x, _| [200, 75, 75, 40, 75, 10][x / 10]);
+        let fineness = plane(60, 4, |x, _| if x / 10 == 2 { 135 } else { 112 });
+        let evidence = Evidence { votes: &votes, fineness: &fineness, shipped: Some(&shipped) };
+        let valid = BitMask::from_fn(60, 4, |_, _| true);
+        let mut keep = BitMask::from_fn(60, 4, |x, y| y == 0 || !matches!(x % 10, 2..=5));
+        keep_doubtful(&mut keep, &evidence, &valid).expect("read");
+        let judged = [3, 13, 23, 33, 43, 53].map(|x| keep.get(x, 2));
+        assert_eq!(judged, [false, true, false, false, false, true]);
     }
 
     #[test]
@@ -253,7 +294,8 @@ mod tests {
         let valid = BitMask::from_fn(20, 6, |_, _| true);
         for (below, kept) in [(0, false), (1, true)] {
             let mut keep = BitMask::from_fn(20, 6, |_, y| y < below || y > 3);
-            keep_doubtful(&mut keep, &votes, Some(&fineness), &valid).expect("read");
+            let evidence = Evidence { votes: &votes, fineness: &fineness, shipped: None };
+            keep_doubtful(&mut keep, &evidence, &valid).expect("read");
             assert_eq!(keep.get(9, 2), kept);
         }
     }

@@ -211,12 +211,13 @@ const TAUGHT_WEIGHT: u32 = 40;
 /// When a plane cannot be read.
 pub fn learn(taught: &[(&Reduced, &Labels)]) -> Result<Learned> {
     let mut all = shipped();
+    let alone = (!taught.is_empty()).then(|| Forest::grow(&all, Growth::default())).flatten();
     for (reduced, labels) in taught {
         all.extend(examples(reduced, labels, DRAWN, TAUGHT_WEIGHT)?);
     }
     let forest = Forest::grow(&all, Growth::default())
         .ok_or_else(|| Error::usage("the forest has examples of one class only", "teach keep and mask"))?;
-    Ok(Learned { forest, known: Known::new(&all), taught: !taught.is_empty() })
+    Ok(Learned { forest, known: Known::new(&all), shipped: alone })
 }
 
 /// The thesis's samples: each shape is laid over with 10 × 10 points, and entropy and intensity are interpolated there.

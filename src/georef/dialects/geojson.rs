@@ -54,5 +54,8 @@ fn feature(layer: &str, pair: &TiePoint, geometry: Value) -> Value {
     if let Some(sigma_m) = pair.sigma_m {
         properties["sigma_m"] = json!(sigma_m);
     }
+    if let Some(sigma_m) = pair.sigma_height_m {
+        properties["sigma_height_m"] = json!(sigma_m);
+    }
     json!({"type": "Feature", "properties": properties, "geometry": geometry})
 }

@@ -50,7 +50,8 @@ fn marker_document(tie_points: &TiePoints) -> String {
     ));
     for (id, pair) in tie_points.pairs.iter().enumerate() {
         let height = pair.height.map_or(String::new(), |z| format!(" z=\"{z}\""));
-        let sigma = pair.sigma_m.map_or(String::new(), |s| format!(" sx=\"{s}\" sy=\"{s}\""));
+        let mut sigma = pair.sigma_m.map_or(String::new(), |s| format!(" sx=\"{s}\" sy=\"{s}\""));
+        sigma += &pair.sigma_height_m.map_or(String::new(), |s| format!(" sz=\"{s}\""));
         text.push_str(&format!(
             "      <marker id=\"{id}\" label=\"{}\">\n        <reference x=\"{}\" y=\"{}\"{height}{sigma} enabled=\"{}\"/>\n      \
              </marker>\n",

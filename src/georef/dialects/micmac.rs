@@ -24,10 +24,11 @@ pub fn write(ground: &Path, image: &Path, tie_points: &TiePoints) -> Result<()> 
     for pair in &tie_points.pairs {
         let height = required_height("MicMac", pair)?;
         let sigma_m = pair.sigma_m.unwrap_or(UNKNOWN_SIGMA_M);
+        let sigma_height_m = pair.sigma_height_m.unwrap_or(sigma_m);
         let name = escape(pair.name.as_str());
         appuis.push_str(&format!(
             "     <OneAppuisDAF>\n          <Pt>{} {} {height}</Pt>\n          <NamePt>{name}</NamePt>\n          \
-             <Incertitude>{sigma_m} {sigma_m} {sigma_m}</Incertitude>\n     </OneAppuisDAF>\n",
+             <Incertitude>{sigma_m} {sigma_m} {sigma_height_m}</Incertitude>\n     </OneAppuisDAF>\n",
             pair.easting, pair.northing
         ));
         mesures.push_str(&format!(

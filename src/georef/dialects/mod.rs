@@ -46,6 +46,8 @@ pub struct TiePoint {
     pub height: Option<f64>,
     /// 1σ of the survey in each of easting and northing, metres.
     pub sigma_m: Option<f64>,
+    /// The same of the height.
+    pub sigma_height_m: Option<f64>,
     /// Surveyed − computed.
     pub residual_e_m: f64,
     pub residual_n_m: f64,
@@ -66,6 +68,7 @@ impl TiePoints {
                 northing: row.northing,
                 height: row.height,
                 sigma_m: row.survey_sigma_m,
+                sigma_height_m: row.survey_sigma_height_m,
                 residual_e_m: row.residual_e_m,
                 residual_n_m: row.residual_n_m,
                 check,

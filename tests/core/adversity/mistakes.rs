@@ -5,7 +5,7 @@ use autoref_raster::coords::PixelPoint;
 use autoref_stream::matching::Priors;
 
 #[test]
-fn torn_mosaics() {
+fn torn_mosaics_are_not_solved_wrong() {
     let score = run("torn: half of the marks shifted", 4, 10, |random| {
         let (marked, listed) = (6 + random.below(9), random.below(6));
         let usual = usual(random, marked, listed, 40);
@@ -21,7 +21,7 @@ fn torn_mosaics() {
 }
 
 #[test]
-fn wrong_scales() {
+fn wrong_scales_are_not_solved_wrong() {
     let score = run("scale given twice too large or too small", 12, 10, |random| {
         let usual = usual(random, 10, 5, 60);
         let gcps = list(usual.listed.clone());

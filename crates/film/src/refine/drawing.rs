@@ -1,8 +1,5 @@
 //! A mark drawn place by place, and blurred: only where an edge may be near is every place looked at.
 
-// Lanes of several arrays side by side; closures would be calls, as they are compiled for any processor.
-#![allow(clippy::needless_range_loop)]
-
 use std::ops::Range;
 
 use crate::window::{add_weighted, scale};

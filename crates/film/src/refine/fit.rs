@@ -3,9 +3,6 @@
 //!
 //! Single precision carries grey values and sums of a thousand pixels; what is solved is summed in double precision.
 
-// Lanes of several arrays side by side; closures would be calls, as they are compiled for any processor.
-#![allow(clippy::needless_range_loop)]
-
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};

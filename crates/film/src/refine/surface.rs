@@ -1,8 +1,5 @@
 //! The drawn mark under the pixels of a scan.
 
-// Lanes of several arrays side by side; closures would be calls, as they are compiled for any processor.
-#![allow(clippy::needless_range_loop)]
-
 use std::ops::Range;
 
 use super::drawing::{Drawing, LATTICE, THICK};

@@ -14,6 +14,7 @@ use autoref_elevation::output;
 use autoref_elevation::profile;
 use autoref_elevation::resample::Interpolation;
 use autoref_raster::atomic::{self, Existing};
+use autoref_raster::cells::csv_text;
 use clap::{Args, Subcommand, ValueEnum};
 
 use crate::cli::values::{Bytes, positive};
@@ -518,7 +519,7 @@ fn line(args: &ProfileArgs) -> anyhow::Result<()> {
     }
     let mut text = String::from("distance_m,x,y");
     for model in &args.models {
-        text.push_str(&format!(",\"{}\"", model.display().to_string().replace('"', "\"\"")));
+        text.push_str(&format!(",{}", csv_text(&model.display().to_string())));
     }
     text.push('\n');
     for station in stations {

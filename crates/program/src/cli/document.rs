@@ -287,6 +287,7 @@ fn row(found: &FoundMark, orientation: &Orientation, list: &GcpList) -> MatchRow
         northing: gcp.northing,
         height: gcp.height,
         survey_sigma_m: gcp.sigma_m,
+        survey_sigma_height_m: gcp.sigma_height_m,
         residual_e_m: e,
         residual_n_m: n,
         residual_px: e.hypot(n) / orientation.solution.scale_m_per_px,

@@ -43,7 +43,7 @@ pub mod tag {
 /// More directories than this are no image file.
 const MAX_DIRECTORIES: usize = 65_536;
 /// More values than this in one tag would take over half a gigabyte: 67 million blocks.
-const MAX_VALUES: u64 = 1 << 26;
+pub const MAX_VALUES: u64 = 1 << 26;
 
 /// One tag of a directory: where its values lie.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,6 +1,8 @@
 //! From the tags of a directory to what the decoder needs, and the list of what the native reader does not take.
 
-use super::container::{Directories, tag};
+use std::path::Path;
+
+use super::container::{Directories, MAX_VALUES, tag};
 use crate::SampleType;
 use crate::error::{Error, Result};
 use crate::words::counted;
@@ -166,16 +168,19 @@ impl Layout {
             jpeg_tables,
         };
         layout.check(all, index)?;
-        layout.split_plain_strips();
+        layout.split_plain_strips(&all.path)?;
         Ok(layout)
     }
 
     /// Uncompressed strips can be entered anywhere: large ones (often the whole image is one) become strips of about
     /// [`PLAIN_STRIP_BYTES`], so that they are cached and shared out like any other.
-    fn split_plain_strips(&mut self) {
+    ///
+    /// # Errors
+    /// When there would be more of them than a directory may list.
+    fn split_plain_strips(&mut self, path: &Path) -> Result<()> {
         let row_bytes = self.block_row_bytes();
         if self.codec != Codec::None || self.tiled || row_bytes * self.block_height <= 2 * PLAIN_STRIP_BYTES {
-            return;
+            return Ok(());
         }
         let wanted = (PLAIN_STRIP_BYTES / row_bytes).max(1);
         let rows = match self.blocks_down() {
@@ -184,6 +189,20 @@ impl Layout {
             _ => (1..=wanted).rev().find(|&rows| self.block_height.is_multiple_of(rows)).unwrap_or(1),
         };
         let planes = if self.planar { self.samples as u64 } else { 1 };
+        let strips = (self.blocks_per_plane() * planes).saturating_mul(self.block_height.div_ceil(rows));
+        if strips > MAX_VALUES {
+            return Err(Error::Limit {
+                what: format!(
+                    "{}: {} x {} pixels in plain rows of {row_bytes} bytes are {strips} strips",
+                    path.display(),
+                    self.width,
+                    self.height
+                ),
+                needed: strips.saturating_mul(16),
+                allowed: MAX_VALUES * 16,
+                remedy: crate::open::retile_remedy(path),
+            });
+        }
         let (mut offsets, mut byte_counts) = (Vec::new(), Vec::new());
         for block in 0..self.blocks_per_plane() * planes {
             let (start, _) = self.extent(block);
@@ -195,6 +214,7 @@ impl Layout {
             }
         }
         (self.offsets, self.byte_counts, self.block_height) = (offsets, byte_counts, rows);
+        Ok(())
     }
 
     pub fn blocks_across(&self) -> u64 {

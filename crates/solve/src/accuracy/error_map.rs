@@ -123,13 +123,6 @@ impl ErrorMap {
         assert!(column < self.columns && row < self.rows, "a node of the grid");
         place(column, row, self.columns, self.rows, self.width_px, self.height_px)
     }
-
-    /// Smallest and largest radius of a point.
-    pub fn range_95_m(&self) -> (f64, f64) {
-        self.nodes.iter().fold((f64::INFINITY, 0.0), |(low, high), node| {
-            (f64::min(low, node.point_95_m), f64::max(high, node.point_95_m))
-        })
-    }
 }
 
 fn place(column: usize, row: usize, columns: usize, rows: usize, width_px: f64, height_px: f64) -> PixelPoint {
@@ -200,7 +193,8 @@ mod tests {
         assert_eq!((map.columns, map.rows, map.nodes.len()), (9, 5, 45));
         assert_eq!(map.place(8, 4), PixelPoint { x: 1000.0, y: 500.0 });
         assert_eq!(map.nodes[4 * 9 + 8], model.at(map.place(8, 4)));
-        assert!((map.range_95_m().0 - centre.point_95_m).abs() < 1e-12);
+        let least = map.nodes.iter().map(|node| node.point_95_m).fold(f64::INFINITY, f64::min);
+        assert!((least - centre.point_95_m).abs() < 1e-12);
     }
 
     #[test]
