@@ -207,8 +207,8 @@ fn other_fields(own: &PixelSet, other: &PixelSet, reach_px: usize, most_unlike: 
 /// Where the middle of a figure lies, from that of the own paint, if this is one of its two fields: paint of about its
 /// size lies beside it, the largest such for the other. In pixels to the right and down.
 pub(super) fn middle_if_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
-    /// Of fields of a few pixels blur leaves more or less, and draws them further apart. Larger ones are as large as each
-    /// other, and show their form: a number beside a mark is no field of it.
+    /// Of fields of a few pixels blur leaves more or less, and draws them further apart. Larger ones are as large as
+    /// each other, and show their form: a number beside a mark is no field of it.
     const MOST_UNLIKE_PART: f64 = 3.0;
     const LARGE_PX: usize = 100;
     const LEAST_COMMON: f64 = 0.65;

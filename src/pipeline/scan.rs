@@ -195,7 +195,8 @@ fn scan_tiles(
     let (output_sender, outputs) = crossbeam_channel::bounded::<Result<TileOutput>>(2 * plan.workers);
     std::thread::scope(|scope| {
         let (stop, pace) = (&stop, &pace);
-        // The request itself waits while the disk has enough to do. Without a fetcher tiles are read as they are needed.
+        // The request itself waits while the disk has enough to do. Without a fetcher tiles are read as they are
+        // needed.
         let _ = spawn_named(scope, "fetcher".into(), move || {
             for tile in plan.grid.iter() {
                 if tile.id % FETCHED_TOGETHER == 0 {

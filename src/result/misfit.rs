@@ -130,8 +130,8 @@ impl Misfit {
 }
 
 /// Of the matched marks of which a part may have been measured, how far that may be from their middle, pixels: another
-/// candidate of about the size lies beside them, nearer than they are wide, or their centre is stated to be as uncertain
-/// as only a part's is.
+/// candidate of about the size lies beside them, nearer than they are wide, or their centre is stated to be as
+/// uncertain as only a part's is.
 fn in_pieces(rows: &[MatchRow], candidates: &[Candidate]) -> Vec<f64> {
     /// In sides of the candidate; what is nearer than the first is the same mark, seen twice (a ring and its disc).
     const BESIDE: std::ops::Range<f64> = 0.15..1.3;

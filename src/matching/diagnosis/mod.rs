@@ -248,7 +248,9 @@ impl GrossErrors<'_> {
             off.min(360.0 - off)
         };
         let centre = self.priors.rotation_deg.map_or(0.0, |(centre, _)| centre);
-        let swapped_likelier = off(turned, centre) <= off(flipped, centre);
+        // Lists that name the northing first are common, mirrored images are not: only one that lies straight is one.
+        const STRAIGHT_DEG: f64 = 10.0;
+        let swapped_likelier = off(turned, centre) <= off(flipped, centre) || off(flipped, centre) > STRAIGHT_DEG;
         let large = |v: f64| v.abs() >= 1e6;
         let (eastings, northings) = (
             self.gcps.iter().filter(|g| large(g.easting)).count(),
@@ -275,7 +277,7 @@ impl GrossErrors<'_> {
             (
                 Mistake::EastingNorthingSwapped,
                 "easting and northing are swapped in the list",
-                "exchange the columns",
+                "exchange the columns, or give them the titles northing and easting",
                 "the image may be mirrored instead",
             )
         } else {

@@ -162,7 +162,7 @@ pub(super) struct Painter {
     shift: [i64; 2],
     /// Gaussian of σ 0.7 px at every half pixel, three to each side.
     /// Places about a pixel.
-    kernel: [(f64, f64); PLACES],
+    kernels: Vec<[(f64, f64); PLACES]>,
 }
 
 impl Painter {
@@ -223,7 +223,7 @@ impl Painter {
             image,
             film: [0, 1].map(|k| centre[k] - 0.5 * camera.film_size_mm[k]),
             shift: [r.below(20_000) as i64, r.below(20_000) as i64],
-            kernel: kernel(),
+            kernels: kernels(),
         }
     }
 
@@ -399,7 +399,8 @@ impl Painter {
         }
         let ground = self.ground(x, y);
         let shown = |&(dx, dy): &(f64, f64)| self.tone(x + dx, y + dy, near).unwrap_or(ground);
-        self.kernel.iter().map(shown).sum::<f32>() / PLACES as f32
+        let turn = hash2(0x51, x.floor() as i64, y.floor() as i64) as usize % TURNS;
+        self.kernels[turn].iter().map(shown).sum::<f32>() / PLACES as f32
     }
 
     /// Lines thinner than the corners' distance could pass between them.
@@ -455,18 +456,27 @@ impl Painter {
 /// Places that a pixel looks at.
 const PLACES: usize = 64;
 
+/// Turns of the places within half a turn.
+const TURNS: usize = 64;
+
 /// A Gaussian of σ 0.7 px as places that count alike, each with its opposite, on a spiral of the golden angle: the edge
 /// of a straight line, however it lies, passes them one after another. On a lattice it would move by the lattice's
-/// step.
-fn kernel() -> [(f64, f64); PLACES] {
+/// step. One spiral for all pixels would move a line that lies along rows or columns by some hundredths of a pixel, in
+/// every pixel alike: each pixel has one of these, turned otherwise.
+fn kernels() -> Vec<[(f64, f64); PLACES]> {
     const SIGMA_PX: f64 = 0.7;
     let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
-    std::array::from_fn(|index| {
-        let (k, side) = ((index / 2) as f64, if index % 2 == 0 { 1.0 } else { -1.0 });
-        let radius = side * SIGMA_PX * (-2.0 * (1.0 - 2.0 * (k + 0.5) / PLACES as f64).ln()).sqrt();
-        // Half a turn holds all directions, as each has its opposite.
-        (radius * (0.5 * golden * k).cos(), radius * (0.5 * golden * k).sin())
-    })
+    let turned = |turn: usize| {
+        let turn = std::f64::consts::PI * turn as f64 / TURNS as f64;
+        std::array::from_fn(|index| {
+            let (k, side) = ((index / 2) as f64, if index % 2 == 0 { 1.0 } else { -1.0 });
+            let radius = side * SIGMA_PX * (-2.0 * (1.0 - 2.0 * (k + 0.5) / PLACES as f64).ln()).sqrt();
+            // Half a turn holds all directions, as each has its opposite.
+            let angle = 0.5 * golden * k + turn;
+            (radius * angle.cos(), radius * angle.sin())
+        })
+    };
+    (0..TURNS).map(turned).collect()
 }
 
 #[cfg(test)]

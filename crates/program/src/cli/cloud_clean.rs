@@ -46,7 +46,7 @@ pub struct CleanArgs {
     #[arg(long, value_name = "E,N,H|FILE", allow_hyphen_values = true, help_heading = "Steps")]
     range_from: Vec<String>,
     /// Smallest angle under which the camera may see a point at z = 0, degrees.
-    #[arg(long, value_name = "DEG", default_value_t = 10.0, help_heading = "Steps")]
+    #[arg(long, value_name = "DEG", default_value_t = 10.0, requires = "range_from", help_heading = "Steps")]
     elevation_angle: f64,
     /// Keep points inside the polygons of a vector file, which are brought into the clouds' reference system.
     #[arg(long, value_name = "FILE", help_heading = "Steps")]

@@ -178,7 +178,7 @@ struct HillshadeArgs {
     #[arg(long, value_name = "Z", default_value_t = 1.0)]
     z: f64,
     /// Light from several directions.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "azimuth")]
     multidirectional: bool,
 }
 

@@ -22,10 +22,10 @@ pub struct ResampleArgs {
     #[arg(long, help_heading = "Resampling")]
     pub resample: bool,
     /// Pixel size of --resample, millimetres.
-    #[arg(long, value_name = "MM", default_value_t = 0.0135, help_heading = "Resampling")]
+    #[arg(long, value_name = "MM", default_value_t = 0.0135, requires = "resample", help_heading = "Resampling")]
     pub resample_mm: f64,
     /// Interpolation.
-    #[arg(long, value_enum, default_value_t = KernelName::Cubic, help_heading = "Resampling")]
+    #[arg(long, value_enum, default_value_t = KernelName::Cubic, requires = "resample", help_heading = "Resampling")]
     pub kernel: KernelName,
     /// Mask this much around every mark, millimetres.
     #[arg(long, value_name = "MM", default_value_t = 3.0, help_heading = "Resampling")]
@@ -36,7 +36,7 @@ pub struct ResampleArgs {
     pub mask_box: Vec<Box4>,
     /// Even out the light: of every frame by itself, or of the roll (three frames or more), which does not mistake
     /// ground for shadow.
-    #[arg(long, value_enum, default_value_t = LightingName::Off, help_heading = "Resampling")]
+    #[arg(long, value_enum, default_value_t = LightingName::Off, requires = "resample", help_heading = "Resampling")]
     pub lighting: LightingName,
     /// Remove bands that the scanner left along its rows or columns.
     #[arg(long, value_enum, default_value_t = BandingName::Off, help_heading = "Resampling")]

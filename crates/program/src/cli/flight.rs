@@ -82,7 +82,7 @@ struct ResectArgs {
     #[arg(long, value_name = "E,N,H", value_delimiter = ',', allow_hyphen_values = true)]
     position: Option<Vec<f64>>,
     /// 1σ of the known position.
-    #[arg(long, value_name = "M", default_value_t = 1.0)]
+    #[arg(long, value_name = "M", default_value_t = 1.0, requires = "position")]
     sigma_position: f64,
     /// Where to write the result as JSON.
     #[arg(short, long, value_name = "JSON")]

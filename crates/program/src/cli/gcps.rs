@@ -43,7 +43,7 @@ pub struct ConvertArgs {
     /// Layer of a file with several.
     #[arg(long, value_name = "NAME")]
     gcp_layer: Option<String>,
-    /// Accept a change of datum that is good to so many metres.
+    /// Accept a change of datum that is good to so many metres (default: 1.5).
     #[arg(long, value_name = "M")]
     datum_accuracy: Option<f64>,
     /// Replace an existing output.

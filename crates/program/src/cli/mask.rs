@@ -101,7 +101,7 @@ pub struct MaskArgs {
     /// Write NAME_Prob.tif: the probability of ground, 0…255 (auto).
     #[arg(long, help_heading = "Outputs")]
     probability: bool,
-    /// Write NAME_Class.tif, NAME_Entropy.tif and NAME_Distance.tif: why pixels were told apart so.
+    /// Write NAME_Class.tif (auto: votes), NAME_Entropy.tif, NAME_Scatter.svg; with thesis-2017 NAME_Distance.tif too.
     #[arg(long, help_heading = "Outputs")]
     explain: bool,
     /// Write FRAME.EXT.png too, as COLMAP names masks.

@@ -53,7 +53,13 @@ pub struct PatternArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Topological point patterns (--matcher tpp)")]
     pub tpp_random: Option<u64>,
     /// Seed of --tpp-random.
-    #[arg(long, value_name = "SEED", default_value_t = 1, help_heading = "Topological point patterns (--matcher tpp)")]
+    #[arg(
+        long,
+        value_name = "SEED",
+        default_value_t = 1,
+        requires = "tpp_random",
+        help_heading = "Topological point patterns (--matcher tpp)"
+    )]
     pub tpp_seed: u64,
     /// Patterns in space: elevations of candidates against heights of GCPs. Needs --gsd.
     #[arg(long, help_heading = "Topological point patterns (--matcher tpp)")]

@@ -88,7 +88,7 @@ pub struct Args {
     /// 1σ of the rough table's positions and directions.
     #[arg(long, value_name = "M,DEG", default_value = "200,1", help_heading = "Control")]
     table_errors: Pair,
-    /// GCPs with errors, and check points without.
+    /// GCPs with errors on the ground, and check points without.
     #[arg(long, value_name = "N,N", default_value = "12,12", help_heading = "Control")]
     points: Pair,
     /// 1σ of GCPs on the ground.

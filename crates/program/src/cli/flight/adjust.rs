@@ -45,7 +45,7 @@ pub struct AdjustArgs {
     #[arg(long, value_name = "M")]
     sigma_position: Option<f64>,
     /// 1σ of rough directions.
-    #[arg(long, value_name = "DEG", default_value_t = 2.0)]
+    #[arg(long, value_name = "DEG", default_value_t = 2.0, requires = "cameras")]
     sigma_direction: f64,
     /// Where to write cameras.json.
     #[arg(short, long, value_name = "JSON")]

@@ -225,6 +225,9 @@ fn init_camera(args: &InitArgs, first: &Path, told: &[frames::Told]) -> Result<C
             );
         }
     }
+    if f_px.is_none() {
+        eprintln!("no frame tells its focal length: it is sought with the block; --f-px states it");
+    }
     Ok(CameraPart { f_px, pp_px, focal: if f_px.is_some() { Focal::Rough } else { Focal::Held } })
 }
 
