@@ -81,8 +81,8 @@ impl Sums {
 }
 
 /// Turns the masked areas over to keep whose mean vote is above what their mean fineness and their share of the upper
-/// border allow; where a frame was taught, above what that allows ([`LIMIT_TAUGHT`], [`SHIPS_DOUBTS_BELOW`]). Pixels
-/// outside `valid` take no part; an area of such pixels alone stays.
+/// border allow; where a frame was taught, above what that allows. Pixels outside `valid` take no part; an area of such
+/// pixels alone stays.
 ///
 /// # Errors
 /// When a plane cannot be read.
