@@ -205,7 +205,8 @@ fn other_fields(own: &PixelSet, other: &PixelSet, reach_px: usize, most_unlike: 
 }
 
 /// Where the middle of a figure lies, from that of the own paint, if this is one of its two fields: paint of about its
-/// size lies beside it, the largest such for the other. In pixels to the right and down.
+/// size lies beside it, the largest such for the other, and of its form, when they are large enough to show one. In
+/// pixels to the right and down.
 pub(super) fn middle_if_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
     /// Of fields of a few pixels blur leaves more or less, and draws them further apart. Larger ones are as large as
     /// each other, and show their form: a number beside a mark is no field of it.
@@ -240,19 +241,27 @@ pub(super) fn middle_if_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
 
 /// The share of their pixels that the own paint and another set have in common, when half a turn lays one on the other,
 /// and how far their middles are apart then, near to what is given: the patch may cut the other set, of which only the
-/// pixels of the patch count.
+/// pixels of the patch count. Of places where they are as alike the nearest.
 fn common_by_half_turn(scene: &Scene<'_>, other: &PixelSet, apart: Vector2<f64>) -> (f64, Vector2<f64>) {
-    const REACH_PX: i32 = 10;
+    const REACH_PX: i32 = 2;
+    const REACH_OF_CUT_PX: i32 = 10;
+    let reach = if other.at_edge() { REACH_OF_CUT_PX } else { REACH_PX };
     let ends = 2.0 * centroid(&scene.own, scene.width);
     let turned: Vec<Vector2<f64>> = scene.own.iter().map(|i| ends - centre_of(i, scene.width)).collect();
-    let steps = || (-REACH_PX..=REACH_PX).map(f64::from);
-    let places = steps().flat_map(|dy| steps().map(move |dx| apart + Vector2::new(dx, dy)));
-    let laid = places.map(|apart| {
-        let shown = turned.iter().filter(|p| has(&scene.valid, *p + apart, scene)).count();
-        let met = turned.iter().filter(|p| has(other, *p + apart, scene)).count();
-        (met as f64 / (shown + other.count() - met) as f64, apart)
-    });
-    laid.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, apart))
+    let steps = || (-reach..=reach).map(f64::from);
+    let moves = steps().flat_map(|dy| steps().map(move |dx| Vector2::new(dx, dy)));
+    let mut best = (0.0, apart);
+    let mut best_move = f64::INFINITY;
+    for by in moves {
+        let to = apart + by;
+        let met = turned.iter().filter(|p| has(other, *p + to, scene)).count();
+        let shown = turned.iter().filter(|p| has(&scene.valid, *p + to, scene)).count();
+        let common = met as f64 / (shown + other.count() - met) as f64;
+        if common > best.0 || common == best.0 && by.norm() < best_move {
+            (best, best_move) = ((common, to), by.norm());
+        }
+    }
+    best
 }
 
 /// How far from a field paint touches it.
@@ -596,6 +605,22 @@ mod tests {
             let found = middle(&apart).expect("two fields");
             assert!((found - Vector2::new(24.0, 24.0)).norm() < 0.1, "{found}");
         }
+        // Of fields that the patch cuts too.
+        for (half, gap) in [(13.0, 1.2), (19.0, 1.2)] {
+            let apart = |x: f64, y: f64| {
+                let (x, y) = (x - 4.0, y - 4.0);
+                x.abs().max(y.abs()) < half && x * y > 0.0 && x.abs().min(y.abs()) > gap
+            };
+            let found = middle(&apart).expect("two fields");
+            assert!((found - Vector2::new(28.0, 28.0)).norm() < 1.0, "{found}");
+        }
+        // A square, and a seven of about its size beside it.
+        let number = |x: f64, y: f64| {
+            let square = (-18.0..-4.0).contains(&x) && y.abs() < 7.0;
+            let bar = (-1.0..15.0).contains(&x) && (-11.0..-7.0).contains(&y);
+            square || bar || (11.0..15.0).contains(&x) && (-7.0..14.0).contains(&y)
+        };
+        assert!(middle(&number).is_none());
         let square = |x: f64, y: f64| x.abs().max(y.abs()) < 3.0;
         assert!(middle(&square).is_none());
         assert!(middle(&|x, y| square(x, y) || y > 5.0 && y < 14.0).is_none(), "beside a wall");

@@ -143,11 +143,12 @@ pub fn scan(
         }
     }
     let regions_examined = collected.clutter + examined.len() as u64;
+    let at_the_end = examined.iter().filter(|one| one.is_turned_down()).count() as u64;
     let after = source.stats();
     Ok(ScanOutcome {
         candidates: detector.finish(one_of_each(examined)),
         regions_examined,
-        regions_turned_down: collected.turned_down,
+        regions_turned_down: collected.turned_down + at_the_end,
         scan_reads: difference(scanned, before),
         window_reads: difference(after, scanned),
         timings: ScanTimings { scan_s: seconds(scan_time), examine_s: seconds(examine_started.elapsed()) },

@@ -75,8 +75,8 @@ impl Misfit {
         Some(if bad { Misfit::Bad { rmse_px, expected_px } } else { Misfit::Rough { rmse_px } })
     }
 
-    /// How far the whole image may be off beyond what the residuals show, in 95 of 100 cases, pixels.
-    pub fn common_95_px(&self) -> f64 {
+    /// How far the whole image may be off beyond what the residuals show, at most about, pixels.
+    pub fn common_px(&self) -> f64 {
         match self {
             Misfit::InPieces { off_px, .. } => *off_px,
             Misfit::Stretched { .. } | Misfit::Bad { .. } | Misfit::Rough { .. } => 0.0,
@@ -142,18 +142,22 @@ fn in_pieces(rows: &[MatchRow], candidates: &[Candidate]) -> Vec<f64> {
     const LEAST_SIDE_PX: f64 = 4.0;
     /// Radius that holds 95 of 100 errors of both coordinates, in standard deviations of one.
     const RAYLEIGH_95: f64 = 2.4477;
-    let side_px = |candidate: &Candidate| candidate.area_px.map(|area| area.sqrt().max(LEAST_SIDE_PX));
     let in_part = |row: &MatchRow| {
         let distance = |c: &Candidate| (c.centre.x - row.x).hypot(c.centre.y - row.y);
-        let own = candidates.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
-        let side = own.and_then(side_px)?;
+        let own = candidates.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+        let area_px = own.area_px?;
+        let side_px = area_px.sqrt().max(LEAST_SIDE_PX);
+        // A centre that was measured again, or moved by hand, need not be a candidate's.
+        if distance(own) >= BESIDE.end * side_px {
+            return None;
+        }
         let is_beside = |c: &Candidate| {
-            let unlike = side_px(c).map_or(1.0, |other| (other / side).max(side / other).powi(2));
-            BESIDE.contains(&(distance(c) / side)) && unlike < MOST_UNLIKE
+            let unlike = c.area_px.map_or(1.0, |other| (other / area_px).max(area_px / other));
+            !std::ptr::eq(c, own) && BESIDE.contains(&(distance(c) / side_px)) && unlike < MOST_UNLIKE
         };
         let sigma_px = row.covariance_px2.map_or(0.0, |c| ((c[0] + c[2]) / 2.0).sqrt());
-        let is_in_part = sigma_px > UNCERTAIN * side || candidates.iter().any(is_beside);
-        is_in_part.then_some(side.max(RAYLEIGH_95 * sigma_px))
+        let is_in_part = sigma_px > UNCERTAIN * side_px || candidates.iter().any(is_beside);
+        is_in_part.then_some(side_px.max(RAYLEIGH_95 * sigma_px))
     };
     rows.iter().filter_map(in_part).collect()
 }
@@ -205,6 +209,10 @@ mod tests {
         assert!(both(&ring_and_disc).is_empty(), "the same mark seen twice");
         let numbers = [109.0, 209.0].map(|x| candidate(x, 20.0));
         assert!(both(&numbers).is_empty(), "small digits beside the marks");
+        let mut moved = rows.clone();
+        moved[0].x += 4.0;
+        moved[1].x += 40.0;
+        assert!(in_pieces(&moved, &alone).is_empty(), "moved by hand, or measured where no candidate lay");
         let mut uncertain = rows.clone();
         uncertain[2].covariance_px2 = Some([9.0, 0.0, 9.0]);
         uncertain[1].covariance_px2 = Some([1.0, 0.0, 1.0]);

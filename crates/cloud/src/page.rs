@@ -16,7 +16,7 @@ const SHARES: [(f64, f64, &str); 5] = [
     (0.5, 1.0, "more than half"),
 ];
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:64rem;padding:0 1rem;color:#222}\
-    table{border-collapse:collapse}td,th{padding:.25rem .7rem;border-bottom:1px solid #ccc;text-align:right;\
+    table{border-collapse:collapse;display:block;overflow-x:auto}td,th{padding:.25rem .7rem;border-bottom:1px solid #ccc;text-align:right;\
     font-variant-numeric:tabular-nums}td:first-child,th:first-child{text-align:left}h2{margin-top:2rem}\
     .pair{display:flex;flex-wrap:wrap;gap:1.5rem;align-items:flex-start}svg text{font-size:11px;fill:#333}\
     figure{margin:0}figcaption{font-size:13px;color:#555;max-width:26rem}";

@@ -26,7 +26,7 @@ const LIMIT_AWAY_FROM_THE_BORDER: f64 = 100.0;
 const LIMIT_UPPER_BORDER: f64 = 96.0;
 const LIMITS: [f64; 2] = [40.0, 130.0];
 
-/// The same where one of the flight's frames was taught: 0.35. Its votes know this ground, whatever its texture.
+/// The same where one of the flight's frames was taught: 0.35, whatever the texture.
 const LIMIT_TAUGHT: f64 = 90.0;
 
 /// Where a frame was taught, an area whose mean vote is above 0.24, but by what ships alone below 0.6, must also be one
@@ -67,15 +67,20 @@ struct Sums {
 }
 
 impl Sums {
-    /// Is an area of these sums, in a frame of `width` pixels, no ground? Means are of its pixels that hold something.
-    fn stays_masked(&self, width: usize, taught: bool) -> bool {
-        let mean = |sum: u64| sum as f64 / self.pixels as f64;
-        let by_texture = limit(mean(self.fineness), self.upper_border as f64 / width as f64);
-        if !taught {
-            return mean(self.votes) <= by_texture;
-        }
-        let (vote, shipped) = (mean(self.votes), mean(self.shipped));
-        let ships_agrees = shipped >= SHIPS_DOUBTS_BELOW || shipped <= by_texture + LIMIT_MORE;
+    /// Mean of the area's pixels that hold something.
+    fn mean(&self, sum: u64) -> f64 {
+        sum as f64 / self.pixels as f64
+    }
+
+    /// The greatest mean vote of no ground by texture and place, in a frame of `width` pixels.
+    fn limit(&self, width: usize) -> f64 {
+        limit(self.mean(self.fineness), self.upper_border as f64 / width as f64)
+    }
+
+    /// Is the area no ground, by what a frame of the flight taught?
+    fn stays_masked_as_taught(&self, width: usize) -> bool {
+        let (vote, shipped) = (self.mean(self.votes), self.mean(self.shipped));
+        let ships_agrees = shipped >= SHIPS_DOUBTS_BELOW || shipped <= self.limit(width) + LIMIT_MORE;
         vote <= CERTAIN_TAUGHT || (vote <= LIMIT_TAUGHT && ships_agrees)
     }
 }
@@ -115,7 +120,14 @@ pub fn keep_doubtful(mask: &mut BitMask, evidence: &Evidence<'_>, valid: &BitMas
     let width = mask.width();
     for (run, &root) in areas.runs.iter().zip(&areas.root) {
         let sum = &sums[root as usize];
-        if sum.pixels > 0 && !sum.stays_masked(width, evidence.shipped.is_some()) {
+        if sum.pixels == 0 {
+            continue;
+        }
+        let stays = match evidence.shipped {
+            Some(_) => sum.stays_masked_as_taught(width),
+            None => sum.mean(sum.votes) <= sum.limit(width),
+        };
+        if !stays {
             mask.fill_run(run.row as usize, run.start as usize, run.end as usize, true);
         }
     }

@@ -160,8 +160,7 @@ pub(super) struct Painter {
     /// Upper left corner of the film, millimetres.
     film: [f64; 2],
     shift: [i64; 2],
-    /// Gaussian of σ 0.7 px at every half pixel, three to each side.
-    /// Places about a pixel.
+    /// Of each turn, the places about a pixel.
     kernels: Vec<[(f64, f64); PLACES]>,
 }
 
@@ -457,7 +456,7 @@ impl Painter {
 const PLACES: usize = 64;
 
 /// Turns of the places within half a turn.
-const TURNS: usize = 64;
+const TURNS: usize = 16;
 
 /// A Gaussian of σ 0.7 px as places that count alike, each with its opposite, on a spiral of the golden angle: the edge
 /// of a straight line, however it lies, passes them one after another. On a lattice it would move by the lattice's

@@ -63,7 +63,7 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
     solved.expected_errors = accuracy::error_map::corners(solution, size_px);
     let misfit = result.solved().and_then(|solved| Misfit::of(solved, &result.candidates));
     if let (Some(misfit), Some(solved)) = (&misfit, result.solved_mut()) {
-        let common_m = misfit.common_95_px() * solved.fit.scale_m_per_px;
+        let common_m = misfit.common_px() * solved.fit.scale_m_per_px;
         for corner in &mut solved.expected_errors {
             let expected = &mut corner.expected;
             expected.transform_95_m = expected.transform_95_m.hypot(common_m);

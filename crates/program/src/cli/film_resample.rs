@@ -28,18 +28,18 @@ pub struct ResampleArgs {
     #[arg(long, value_enum, default_value_t = KernelName::Cubic, requires = "resample", help_heading = "Resampling")]
     pub kernel: KernelName,
     /// Mask this much around every mark, millimetres.
-    #[arg(long, value_name = "MM", default_value_t = 3.0, help_heading = "Resampling")]
+    #[arg(long, value_name = "MM", default_value_t = 3.0, requires = "resample", help_heading = "Resampling")]
     pub mask_marks_mm: f64,
     /// Mask a box (text, clock, counter): two opposite corners in the camera's millimetres; repeat for more. The
     /// camera's file can name them too (masked_mm).
-    #[arg(long, value_name = "X,Y,X,Y", value_parser = parse_box, allow_hyphen_values = true, help_heading = "Resampling")]
+    #[arg(long, value_name = "X,Y,X,Y", value_parser = parse_box, allow_hyphen_values = true, requires = "resample", help_heading = "Resampling")]
     pub mask_box: Vec<Box4>,
     /// Even out the light: of every frame by itself, or of the roll (three frames or more), which does not mistake
     /// ground for shadow.
     #[arg(long, value_enum, default_value_t = LightingName::Off, requires = "resample", help_heading = "Resampling")]
     pub lighting: LightingName,
     /// Remove bands that the scanner left along its rows or columns.
-    #[arg(long, value_enum, default_value_t = BandingName::Off, help_heading = "Resampling")]
+    #[arg(long, value_enum, default_value_t = BandingName::Off, requires = "resample", help_heading = "Resampling")]
     pub banding: BandingName,
     /// Replace resampled frames that are there and were made otherwise.
     #[arg(long, help_heading = "Resampling")]

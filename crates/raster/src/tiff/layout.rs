@@ -94,7 +94,8 @@ impl Layout {
     /// Reads and checks the tags of directory `index`.
     ///
     /// # Errors
-    /// [`Error::Unsupported`] names exactly what the native reader does not take; [`Error::Format`] what is broken.
+    /// [`Error::Unsupported`] names exactly what the native reader does not take; [`Error::Format`] what is broken;
+    /// [`Error::Limit`] a directory of more strips than are read.
     pub fn read(all: &Directories, index: usize) -> Result<Self> {
         let format = |what: String| Error::format(&all.path, format!("directory {index}"), what);
         let need = |tag: u16, name: &str| match all.first(index, tag)? {
@@ -200,10 +201,11 @@ impl Layout {
                 ),
                 needed: strips.saturating_mul(16),
                 allowed: MAX_VALUES * 16,
-                remedy: crate::open::retile_remedy(path),
+                remedy: format!("gdal_translate -co TILED=YES {} tiled.tif", path.display()),
             });
         }
-        let (mut offsets, mut byte_counts) = (Vec::new(), Vec::new());
+        let mut offsets = Vec::with_capacity(strips as usize);
+        let mut byte_counts = Vec::with_capacity(strips as usize);
         for block in 0..self.blocks_per_plane() * planes {
             let (start, _) = self.extent(block);
             let held = self.block_rows(block % self.blocks_down());

@@ -42,7 +42,7 @@ pub struct AdjustArgs {
     #[command(flatten)]
     angles: camera_tables::AnglesArgs,
     /// 1σ of rough positions whose table states none. Default: 200 m beside GCPs, 20 m where they place the block.
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", requires = "cameras")]
     sigma_position: Option<f64>,
     /// 1σ of rough directions.
     #[arg(long, value_name = "DEG", default_value_t = 2.0, requires = "cameras")]

@@ -8,7 +8,7 @@ use crate::cli::values::unsigned_zero;
 use autoref_raster::markup::escaped;
 
 pub const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:64rem;padding:0 1rem;color:#222}\
-    table{border-collapse:collapse;margin:.5rem 0 1.5rem}td,th{padding:.2rem .7rem;border-bottom:1px solid #ccc;text-align:right}\
+    table{border-collapse:collapse;margin:.5rem 0 1.5rem;display:block;overflow-x:auto}td,th{padding:.2rem .7rem;border-bottom:1px solid #ccc;text-align:right}\
     td:first-child,th:first-child{text-align:left}svg{background:#f6f6f4;display:block;margin:.5rem 0;max-width:100%;height:auto}\
     .bad{color:#a93226;font-weight:600}@media print{body{margin:0}}";
 
