@@ -213,3 +213,25 @@ fn gdals_own_paths_are_given_to_it_as_they_are() {
     let missing = open(Path::new("/vsisubfile/0,/nowhere.tif"), ReaderChoice::Auto, 0, CACHE).map(|_| ());
     assert!(missing.expect_err("there is no such file").to_string().contains("nowhere.tif"));
 }
+
+/// A file of a hundred bytes may claim billions of rows.
+#[test]
+fn a_sparse_strip_of_billions_of_rows_is_refused() {
+    let (_folder, path) = folder();
+    let rows = i32::MAX as u32;
+    // Width, height, bits, no compression, black is zero, one strip at 0, one sample, rows a strip, no bytes.
+    let tags: [(u16, u32); 9] =
+        [(256, 9_000_000), (257, rows), (258, 8), (259, 1), (262, 1), (273, 0), (277, 1), (278, rows), (279, 0)];
+    let mut bytes = b"II\x2a\0\x08\0\0\0".to_vec();
+    bytes.extend((tags.len() as u16).to_le_bytes());
+    for (tag, value) in tags {
+        bytes.extend(tag.to_le_bytes());
+        bytes.extend(4u16.to_le_bytes());
+        bytes.extend(1u32.to_le_bytes());
+        bytes.extend(value.to_le_bytes());
+    }
+    bytes.extend([0; 4]);
+    std::fs::write(&path, bytes).expect("written");
+    let refused = open(&path, ReaderChoice::Native, 0, CACHE).map(|_| ()).expect_err("too many strips").to_string();
+    assert!(refused.contains("2147483647 strips"), "{refused}");
+}

@@ -165,3 +165,48 @@ fn required_height(program: &str, pair: &TiePoint) -> Result<f64> {
 fn write_file(path: &Path, text: &str) -> Result<()> {
     std::fs::write(path, text).map_err(|e| Error::io(path, "write", e))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn written(output: Output, crs: Option<Crs>) -> String {
+        let folder = tempfile::tempdir().expect("a folder");
+        let paths = files(output, &folder.path().join("e6.tif"));
+        let pair = TiePoint {
+            name: "A".into(),
+            pixel: PixelPoint { x: 1.5, y: 2.5 },
+            easting: 10.7,
+            northing: 59.9,
+            height: Some(12.0),
+            sigma_m: Some(0.02),
+            sigma_height_m: Some(0.09),
+            residual_e_m: 0.0,
+            residual_n_m: 0.0,
+            check: false,
+        };
+        let tie_points =
+            TiePoints { image_name: "e6.tif".into(), image_size_px: None, crs, pairs: vec![pair], transform: None };
+        write(output, &paths, &tie_points).expect("written");
+        paths.iter().map(|path| std::fs::read_to_string(path).expect("text")).collect()
+    }
+
+    #[test]
+    fn heights_have_their_own_deviation() {
+        for (output, expected) in [
+            (Output::MicMac, "<Incertitude>0.02 0.02 0.09</Incertitude>"),
+            (Output::Pix4d, "A,10.7,59.9,12,0.02,0.09\n"),
+            (Output::Metashape, "sx=\"0.02\" sy=\"0.02\" sz=\"0.09\""),
+            (Output::GeoJson, "\"sigma_height_m\": 0.09"),
+        ] {
+            let text = written(output, None);
+            assert!(text.contains(expected), "{text}");
+        }
+    }
+
+    #[test]
+    fn pix4d_has_the_latitude_first() {
+        let degrees = Crs::from_epsg(4326).expect("WGS 84");
+        assert!(written(Output::Pix4d, Some(degrees)).starts_with("A,59.9,10.7,12,"));
+    }
+}
