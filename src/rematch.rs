@@ -208,7 +208,10 @@ fn look_in_window(source: &dyn RasterSource, detector: &dyn Detector, expected: 
     let mut standing = Standing::default();
     standing.add(candidates.iter());
     let others = detector.others().into_iter().flat_map(found);
-    candidates.extend(others.filter(|candidate| !standing.any_like(candidate)));
+    let others: Vec<Candidate> = others.filter(|candidate| !standing.any_before(candidate)).collect();
+    standing.add(others.iter());
+    candidates.extend(others);
+    candidates.retain(|candidate| !standing.any_around(candidate));
     Ok(candidates)
 }
 

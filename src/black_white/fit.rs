@@ -179,7 +179,7 @@ impl Surface<PARAMETERS> for Problem<'_> {
 /// apart.
 pub(crate) fn tukey_weights(residuals: &[f64], height: f64) -> Vec<f64> {
     const CUT: f64 = 4.7;
-    let spread = 1.4826 * crate::candidate::scene::median(residuals.iter().map(|r| r.abs()).collect());
+    let spread = 1.4826 * autoref_raster::ranks::median(residuals.iter().map(|r| r.abs()).collect());
     // A hundredth of the height: paint, print and cloth are never flatter than that.
     let noise = spread.max(0.01 * height.abs()).max(0.3);
     let weight = |r: &f64| {

@@ -6,7 +6,7 @@
 //! of paint in each pixel, in which texture is weakest; and a blurred shape is fitted to that picture ([`super::fit`]).
 //! The answer depends on nothing but the patch, so no tiling can change it.
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
 use super::Candidate;
 use super::even;
@@ -237,8 +237,11 @@ impl Looks<'_> {
                     if first.local { self.measured_once(&scene, around) } else { self.measured(&scene, around) }
                 });
                 grown.filter(|grown| self.score(grown) >= least).unwrap_or_else(|| {
-                    let ((ax, ay), (bx, by)) = (middle(&seen.own, seen.width), middle(&own, seen.width));
-                    widen(first, apart(ax - bx, ay - by))
+                    // What was measured may be the whole already, by the look at local ground.
+                    let ((x, y), window) = (middle(&own, seen.width), &seen.patch.window);
+                    let whole = (x + 0.5 + window.x as f64, y + 0.5 + window.y as f64);
+                    let open = apart(first.centre.0 - whole.0, first.centre.1 - whole.1);
+                    widen(first, open)
                 })
             }
         };
@@ -393,8 +396,11 @@ pub(super) fn candidate(
         return None;
     }
     // What looks like one of a figure's two fields may be that, though too small or too worn to show it.
-    if let Some(middle) = middle_if_field(scene).filter(|_| profile.examine.centre == CentreMode::Fit) {
-        evidence = widen(evidence, apart(middle.x, middle.y));
+    if profile.examine.centre == CentreMode::Fit
+        && let Some(to_middle) = middle_if_field(scene)
+        && !is_within(&evidence, scene, to_middle)
+    {
+        evidence = widen(evidence, apart(to_middle.x, to_middle.y));
     }
     Some(Candidate {
         centre: PixelPoint { x: evidence.centre.0, y: evidence.centre.1 },
@@ -406,6 +412,16 @@ pub(super) fn candidate(
         code: None,
         paint: Some(evidence.paint),
     })
+}
+
+/// Whether the paint that lies twice as far as this from the scene's own is a part of the mark that was measured.
+fn is_within(evidence: &Evidence, scene: &Scene<'_>, to_middle: Vector2<f64>) -> bool {
+    /// In a square no part's middle lies farther from the square's, as a share of its side.
+    const HALF_DIAGONAL: f64 = 0.6;
+    let ((x, y), window) = (middle(&scene.own, scene.width), &scene.patch.window);
+    let other = (x + 0.5 + window.x as f64 + 2.0 * to_middle.x, y + 0.5 + window.y as f64 + 2.0 * to_middle.y);
+    let off = (other.0 - evidence.centre.0).hypot(other.1 - evidence.centre.1);
+    off < HALF_DIAGONAL * evidence.area_px.sqrt()
 }
 
 /// The measurements behind [`examine`]; `None` when the region's paint is not in the patch or belongs to a mark that

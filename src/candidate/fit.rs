@@ -123,7 +123,7 @@ impl Seen {
     fn spread(&self, low: f64, high: f64) -> Option<f64> {
         let inside = |v: &f64| (low..=high).contains(v);
         let r: Vec<f64> = self.left.iter().zip(&self.values).filter(|(_, v)| inside(v)).map(|(r, _)| r.abs()).collect();
-        (r.len() >= 4).then(|| 1.4826 * super::scene::median(r))
+        (r.len() >= 4).then(|| 1.4826 * autoref_raster::ranks::median(r))
     }
 }
 

@@ -9,6 +9,7 @@ use crate::profile::Filters;
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
 use autoref_raster::Patch;
+use autoref_raster::ranks;
 use autoref_raster::srgb::{linear_from_srgb, linear_of_bytes};
 
 /// The ring of ground around a mark starts and ends so far outside, beyond the blurred border.
@@ -193,7 +194,8 @@ impl<'a> Scene<'a> {
     pub fn median_colour(&self, set: &PixelSet) -> Vector3<f64> {
         if self.linear {
             let colours = self.colours(set);
-            let of = |c: usize| if colours.is_empty() { 0.0 } else { median(colours.iter().map(|v| v[c]).collect()) };
+            let of =
+                |c: usize| if colours.is_empty() { 0.0 } else { ranks::median(colours.iter().map(|v| v[c]).collect()) };
             return Vector3::new(of(0), of(1), of(2));
         }
         let samples = self.samples(set);
@@ -242,10 +244,10 @@ pub fn ground(colours: &[Vector3<f64>]) -> Option<Ground> {
     if colours.len() < 12 {
         return None;
     }
-    let median: [f64; 3] = std::array::from_fn(|c| median(colours.iter().map(|v| v[c]).collect()));
+    let median: [f64; 3] = std::array::from_fn(|c| ranks::median(colours.iter().map(|v| v[c]).collect()));
     let spread: [f64; 3] = std::array::from_fn(|c| {
         // 1.4826 makes it a standard deviation for Gaussian noise; 2 is the noise of a good 8-bit picture.
-        (1.4826 * self::median(colours.iter().map(|v| (v[c] - median[c]).abs()).collect())).max(2.0)
+        (1.4826 * ranks::median(colours.iter().map(|v| (v[c] - median[c]).abs()).collect())).max(2.0)
     });
     let kept: Vec<&Vector3<f64>> =
         colours.iter().filter(|v| (0..3).all(|c| (v[c] - median[c]).abs() <= 3.5 * spread[c])).collect();
@@ -385,31 +387,9 @@ pub(crate) fn twice_median(values: impl ExactSizeIterator<Item = u32> + Clone) -
     if len % 2 == 1 { 2 * high } else { high + below.iter().copied().max().unwrap_or(high) }
 }
 
-/// Median; the mean of the middle two when the count is even.
-///
-/// # Panics
-/// On an empty list or a NaN.
-pub fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    let order = |a: &f64, b: &f64| a.partial_cmp(b).expect("samples are finite");
-    let high = *values.select_nth_unstable_by(middle, order).1;
-    if values.len().is_multiple_of(2) {
-        let below = values[..middle].iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        return (below + high) / 2.0;
-    }
-    high
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn median_of_odd_and_even_counts() {
-        assert_eq!(median(vec![3.0, 1.0, 2.0]), 2.0);
-        assert_eq!(median(vec![4.0, 1.0, 2.0, 3.0]), 2.5);
-        assert_eq!(median(vec![7.0]), 7.0);
-    }
 
     proptest::proptest! {
         #[test]

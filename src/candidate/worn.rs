@@ -8,7 +8,8 @@
 use nalgebra::Vector3;
 
 use super::Candidate;
-use super::examine::{Around, Evidence, Looks, candidate, growth, near, settle, unfitted};
+use super::examine::{Around, Evidence, Looks, candidate, figure_of, growth, near, settle, unfitted};
+use super::figure::Figure;
 use super::fit::Fit;
 use super::gates::{Gates, moments_rectangle};
 use super::local::Local;
@@ -136,10 +137,24 @@ impl Worn {
 
     /// The candidate of a region that looks like a worn or blurred mark.
     pub fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
-        let evidence = self.measure(region, pixels)?;
         let patch = near(pixels, region);
         let scene = Scene::new(region, &patch, &self.classifier, OwnPaint::Piece)?;
+        if self.is_of_worn_paint(&scene) {
+            match figure_of(&scene, region, pixels, &self.classifier, &self.profile) {
+                Figure::Is(candidate) => return Some(*candidate),
+                Figure::Elsewhere => return None,
+                Figure::No => {}
+            }
+        }
+        let evidence = self.measure(region, pixels)?;
         candidate(evidence, &scene, region, &self.classifier, &self.profile, &self.gates)
+    }
+
+    /// Whether the paint stands out from the ground beside it, and lies between it and fresh paint.
+    fn is_of_worn_paint(&self, scene: &Scene<'_>) -> bool {
+        let (paint, Some(ground)) = (scene.plateau(), scene.ring_ground()) else { return false };
+        Across::between(ground, paint).contrast >= LEAST_CONTRAST
+            && off_line(self.fresh, &ground.mean, &paint) <= MOST_OFF_LINE
     }
 
     /// What was measured of the region, or of what it grows into, whichever looks more like a mark.

@@ -236,7 +236,7 @@ fn pattern(patch: &Patch, pose: &Pose, n: usize) -> Option<(Pattern, (f64, f64))
         let all = (0..n * n).map(|k| (k % n, k / n)).filter(|&(i, j)| is_border(i, j) == border);
         all.map(|(i, j)| means[j][i]).collect()
     };
-    let dark = crate::candidate::scene::median(of(true));
+    let dark = autoref_raster::ranks::median(of(true));
     let mut inside = of(false);
     inside.sort_by(f64::total_cmp);
     let bright = inside[inside.len() * 7 / 8];

@@ -31,6 +31,7 @@ mod ogr;
 mod order;
 mod packed;
 mod place;
+pub(crate) mod programs;
 mod qgis;
 mod raw;
 mod read;

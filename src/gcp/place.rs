@@ -57,7 +57,14 @@ pub(super) fn check(
     let shown_in = shown_in.as_ref();
     let axes = if crs.is_geographic() { "longitude and latitude" } else { "easting and northing" };
     if options.fix_axes && !points.is_empty() && shown_in.is_none() {
-        notes.push(format!("{}: --fix-axes found nothing to exchange", path.display()));
+        let fits_exchanged = points.iter().all(|p| crs.covers(p.gcp.northing, p.gcp.easting) == Some(true));
+        let why = if fits_exchanged {
+            let title = crs.title();
+            format!("exchanged nothing: both orders lie in {title}; exchange the columns' titles if they are wrong")
+        } else {
+            "found nothing to exchange".into()
+        };
+        notes.push(format!("{}: --fix-axes {why}", path.display()));
     } else if let Some(shown_in) = shown_in {
         if !options.fix_axes {
             return Err(exchanged(path, points.len(), shown_in, axes));

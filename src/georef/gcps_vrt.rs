@@ -7,6 +7,7 @@ use std::path::Path;
 
 use quick_xml::escape::escape;
 
+use crate::gcp::programs::is_check;
 use crate::georef::dialects::TiePoints;
 use crate::georef::sidecar;
 use autoref_raster::bounded;
@@ -17,7 +18,7 @@ use autoref_raster::error::{Error, Result};
 /// # Errors
 /// When there are no points, GDAL cannot open the image, or the file cannot be written.
 pub fn write(image: &Path, page: usize, vrt: &Path, points: &TiePoints) -> Result<()> {
-    let controls: Vec<_> = points.pairs.iter().filter(|pair| !pair.check).collect();
+    let controls: Vec<_> = points.pairs.iter().filter(|pair| !is_check(&pair.gcp)).collect();
     if controls.is_empty() {
         return Err(Error::usage("the result holds no matched points", "choose another --write"));
     }
@@ -30,14 +31,14 @@ pub fn write(image: &Path, page: usize, vrt: &Path, points: &TiePoints) -> Resul
     }
     list.push_str(">\n");
     for pair in controls {
-        let height = pair.height.map_or(String::new(), |z| format!(" Z=\"{z}\""));
+        let height = pair.gcp.height.map_or(String::new(), |z| format!(" Z=\"{z}\""));
         list.push_str(&format!(
             "    <GCP Id=\"{}\" Pixel=\"{}\" Line=\"{}\" X=\"{}\" Y=\"{}\"{height} />\n",
-            escape(&pair.name),
+            escape(&pair.gcp.name),
             pair.pixel.x,
             pair.pixel.y,
-            pair.easting,
-            pair.northing
+            pair.gcp.easting,
+            pair.gcp.northing
         ));
     }
     list.push_str("  </GCPList>\n");

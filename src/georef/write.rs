@@ -304,6 +304,7 @@ impl WriteRequest {
                 _ => {
                     let points = TiePoints::of(result, &self.base, crs);
                     transaction.stage_all(&files, |temporaries| dialects::write(kind, temporaries, &points))?;
+                    warnings.extend(dialects::lost(kind, &points));
                 }
             }
         }

@@ -3,9 +3,10 @@
 use nalgebra::Vector3;
 
 use crate::candidate::pixel_set::PixelSet;
-use crate::candidate::scene::{median, sample_ground};
+use crate::candidate::scene::sample_ground;
 use autoref_raster::Patch;
 use autoref_raster::coords::PixelPoint;
+use autoref_raster::ranks::median;
 
 /// How far around a mark the ground is taken for its own.
 pub(super) const RING_PX: usize = 12;

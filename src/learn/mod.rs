@@ -6,7 +6,6 @@ mod statistics;
 
 use crate::candidate::Gates;
 use crate::candidate::pixel_set::PixelSet;
-use crate::candidate::scene::median;
 use crate::candidate::split::score_of;
 use crate::profile::colour::{Cloud, Metric, Space, lab_from_srgb};
 use crate::profile::mixing::cloud;
@@ -16,6 +15,7 @@ use crate::profile::{
 use crate::segment::classify::Classifier;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::ranks::median;
 use autoref_raster::words::counted;
 use autoref_raster::{Patch, SampleType};
 use example::{Example, example, outlined};

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::candidate::scene::{Ground, sample_ground};
 use crate::candidate::{Candidate, least_whole_area_px};
 use crate::gcp::Gcp;
-use crate::pipeline::georeference::Orientation;
+use crate::pipeline::georeference::{FoundMark, Orientation};
 use crate::profile::colour::lab_from_srgb;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
@@ -150,6 +150,10 @@ pub fn reasons(
     sides.sort_by(f64::total_cmp);
     let side_px = sides.get(sides.len() / 2).copied().unwrap_or(10.0).clamp(4.0, 100.0);
     let least_area_px = least_whole_area_px(marks().map(|found| &found.mark));
+    let middle = match source {
+        Some(source) if !orientation.not_found.is_empty() => Middle::of(source, &places(marks()), side_px, paint)?,
+        _ => Middle::Painted,
+    };
     let mut all = Vec::new();
     for &gcp in &orientation.not_found {
         let (name, at) = (gcps[gcp].name.clone(), expected(gcp));
@@ -187,16 +191,11 @@ pub fn reasons(
             continue;
         }
         let seen = match source {
-            Some(source) => {
-                let bounds = source.info().bounds();
-                let pixel = Window::new(at.x.max(0.0) as u64, at.y.max(0.0) as u64, 1, 1);
-                let window = pixel.grown((2.0 * side_px).ceil() as u64 + 8, &bounds);
-                Some(read_patch(source, window)?)
-            }
+            Some(source) => Some(read_around(source, at, side_px)?),
             None => None,
         };
         all.push(match seen {
-            Some(patch) => look(name, at, &patch, side_px, paint),
+            Some(patch) => look(name, at, &patch, (side_px, middle), paint),
             None => NotFound::new(name, Reason::Hidden, at, "no candidate lies there".into()),
         });
     }
@@ -205,6 +204,75 @@ pub fn reasons(
         all.push(NotFound::new(name, Reason::Outside, expected(gcp), "the image does not reach there".into()));
     }
     Ok(all)
+}
+
+fn places<'a>(marks: impl Iterator<Item = &'a FoundMark>) -> Vec<PixelPoint> {
+    marks.map(|found| found.mark.centre).collect()
+}
+
+fn read_around(source: &dyn RasterSource, at: PixelPoint, side_px: f64) -> Result<Patch> {
+    let pixel = Window::new(at.x.max(0.0) as u64, at.y.max(0.0) as u64, 1, 1);
+    read_patch(source, pixel.grown((2.0 * side_px).ceil() as u64 + 8, &source.info().bounds()))
+}
+
+/// What the marks of an image have in their middle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Middle {
+    /// Paint, as squares, discs and crosses.
+    Painted,
+    /// Ground or another paint; their own lies so far from the middle, pixels, as of rings.
+    Hollow { from_px: f64, to_px: f64 },
+}
+
+impl Middle {
+    /// Told by marks that were found, at most eight of them.
+    fn of(source: &dyn RasterSource, found: &[PixelPoint], side_px: f64, paint: Option<[u8; 3]>) -> Result<Middle> {
+        const ENOUGH: usize = 8;
+        let Some(paint) = paint else { return Ok(Middle::Painted) };
+        // Shares of paint by distance, a pixel each.
+        let mut sums = vec![(0.0, 0.0); side_px.ceil() as usize + 1];
+        for &at in found.iter().step_by(found.len().div_ceil(ENOUGH).max(1)) {
+            let patch = read_around(source, at, side_px)?;
+            let Some(ground) = ground_around(at, &patch, side_px) else { continue };
+            let (scale, width) = (255.0 / f64::from(patch.white), patch.window.width as usize);
+            for i in (0..patch.rgb.len()).filter(|&i| patch.valid[i]) {
+                let far = distance_px(&patch, width, i, at);
+                if let Some(sum) = sums.get_mut(far.round() as usize) {
+                    let colour = Vector3::from(patch.rgb[i].map(|v| f64::from(v) * scale));
+                    *sum = (sum.0 + share_of(&ground, &colour, paint), sum.1 + 1.0);
+                }
+            }
+        }
+        Ok(Middle::by_shares(&sums.iter().map(|(sum, n)| if *n > 0.0 { sum / n } else { 0.0 }).collect::<Vec<_>>()))
+    }
+
+    fn by_shares(shares: &[f64]) -> Middle {
+        /// The middle has less than this part of the most paint there is at any distance.
+        const HALF: f64 = 0.5;
+        let Some(peak) = (0..shares.len()).max_by(|a, b| shares[*a].total_cmp(&shares[*b])) else {
+            return Middle::Painted;
+        };
+        if shares[0] >= HALF * shares[peak] {
+            return Middle::Painted;
+        }
+        let is_paint = |r: &usize| shares[*r] >= HALF * shares[peak];
+        let from = (0..=peak).rev().take_while(is_paint).last().unwrap_or(peak);
+        let to = (peak..shares.len()).take_while(is_paint).last().unwrap_or(peak);
+        Middle::Hollow { from_px: from as f64 - 0.5, to_px: to as f64 + 0.5 }
+    }
+
+    /// Distances from the middle at which a mark of this side has its paint, pixels.
+    fn paint_px(self, side_px: f64) -> (f64, f64) {
+        match self {
+            Middle::Painted => (0.0, (side_px / 3.0).max(1.0)),
+            Middle::Hollow { from_px, to_px } => (from_px, to_px),
+        }
+    }
+}
+
+fn distance_px(patch: &Patch, width: usize, i: usize, at: PixelPoint) -> f64 {
+    let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+    (x + patch.window.x as f64 - at.x).hypot(y + patch.window.y as f64 - at.y)
 }
 
 fn near_each_other(a: PixelPoint, b: PixelPoint, reach_px: f64) -> bool {
@@ -238,11 +306,20 @@ fn displaced(name: String, at: PixelPoint, mark: PixelPoint, similarity: &Simila
     NotFound { offset_e_m: Some(e), offset_n_m: Some(n), ..NotFound::new(name, Reason::Displaced, at, detail) }
 }
 
-/// With at least this share of the paint's contrast it is not for faintness that a mark was not found.
+/// With at least this share of the paint's contrast it is not for faintness that a mark was not found, ...
 const FULL: f64 = 0.7;
+/// ... nor with this share of it where it stands out so many deviations: a border of light or of ground through the
+/// mark makes half of its paint another.
+const PLAIN: (f64, f64) = (0.5, 10.0);
 
 /// What the window shows about its place.
-fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option<[u8; 3]>) -> NotFound {
+fn look(
+    name: String,
+    at: PixelPoint,
+    patch: &Patch,
+    (side_px, middle): (f64, Middle),
+    paint: Option<[u8; 3]>,
+) -> NotFound {
     /// What stands out less is ground; as in the examination.
     const LEAST_CONTRAST: f64 = 4.0;
     /// A trace of paint is at least this share of it, and so many times what bare ground around looks like.
@@ -252,14 +329,17 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
     const HUES: f64 = 0.45;
     /// A colour that lies no farther beside the line from ground to paint is ground that paint shows on.
     const MIXED: f64 = 0.3;
-    let (x0, y0, width) = (patch.window.x as f64, patch.window.y as f64, patch.window.width as usize);
+    let width = patch.window.width as usize;
     let Some(ground) = ground_around(at, patch, side_px) else {
         return NotFound::new(name, Reason::Hidden, at, "the image holds nothing there".into());
     };
     let scale = 255.0 / f64::from(patch.white);
     // The mark's middle may be a little beside its place: of nine the one that stands out most.
-    let reach = (side_px / 3.0).max(1.0);
-    let step = side_px / 3.0;
+    let (from, to) = middle.paint_px(side_px);
+    let step = match middle {
+        Middle::Painted => side_px / 3.0,
+        Middle::Hollow { .. } => to - from,
+    };
     let places = (-1..=1).flat_map(|v| (-1..=1).map(move |u| (f64::from(u) * step, f64::from(v) * step)));
     let inverse = (ground.covariance + Matrix3::identity() * 9.0).cholesky().map(|c| c.inverse());
     let contrast_of = |colour: &Vector3<f64>| {
@@ -269,8 +349,8 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
     let mean_about = |(dx, dy): (f64, f64)| {
         let (mut sum, mut n) = (Vector3::zeros(), 0.0);
         for i in 0..patch.rgb.len() {
-            let (x, y) = ((i % width) as f64 + 0.5 + x0 - at.x - dx, (i / width) as f64 + 0.5 + y0 - at.y - dy);
-            if patch.valid[i] && x.hypot(y) <= reach {
+            let far = distance_px(patch, width, i, PixelPoint { x: at.x + dx, y: at.y + dy });
+            if patch.valid[i] && far >= from && far <= to {
                 sum += Vector3::from(patch.rgb[i].map(|v| f64::from(v) * scale));
                 n += 1.0;
             }
@@ -282,23 +362,23 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
         return NotFound::new(name, Reason::Hidden, at, "the image holds nothing there".into());
     };
     let contrast = contrast_of(&colour);
-    let hex = hex(&colour);
     let share = paint.map_or(0.0, |paint| share_of(&ground, &colour, paint));
-    let apart = paint.map_or(0.0, |paint| hues_apart(&colour, paint));
-    let mixed = paint.is_none_or(|paint| off_line(&ground, &colour, paint) < MIXED);
+    let is_other_paint =
+        paint.is_some_and(|paint| hues_apart(&colour, paint) > HUES && off_line(&ground, &colour, paint) >= MIXED);
     let is_trace = || {
         let of_ground = around(1.5 * side_px)
             .filter_map(mean_about)
             .map(|colour| paint.map_or(0.0, |paint| share_of(&ground, &colour, paint)));
         share >= TRACE && contrast >= 1.0 && share >= MORE_THAN_GROUND * of_ground.fold(0.0, f64::max)
     };
-    let (reason, detail) = if contrast >= LEAST_CONTRAST && apart > HUES && !mixed {
+    let hex = hex(&colour);
+    let percent = 100.0 * share;
+    let (reason, detail) = if contrast >= LEAST_CONTRAST && is_other_paint {
         (Reason::OtherColour, format!("what stands out there is {hex}"))
-    } else if contrast >= LEAST_CONTRAST && share >= FULL {
+    } else if contrast >= LEAST_CONTRAST && (share >= FULL || (share >= PLAIN.0 && contrast >= PLAIN.1)) {
         let what = format!(
-            "the marks' paint is there, {:.0} % of its contrast, but no whole mark: covered in part, cut, or beside its \
-             surveyed place",
-            100.0 * share
+            "the marks' paint is there, {percent:.0} % of its contrast, but no whole mark: covered in part, cut, across a \
+             border of light or ground, or beside its surveyed place"
         );
         (Reason::Hidden, what)
     } else if contrast >= LEAST_CONTRAST && paint.is_none() {
@@ -309,13 +389,9 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
         );
         (Reason::Hidden, what)
     } else if contrast >= LEAST_CONTRAST || is_trace() {
-        (
-            Reason::Faint,
-            format!(
-                "{:.0} % of the paint's contrast, {contrast:.1} times the scatter of the ground around",
-                100.0 * share
-            ),
-        )
+        let what =
+            format!("{percent:.0} % of the paint's contrast, {contrast:.1} times the scatter of the ground around");
+        (Reason::Faint, what)
     } else {
         let what = format!("no paint is seen there, only ground or cover of {hex}, much as around it");
         (Reason::Hidden, what)
@@ -325,9 +401,11 @@ fn look(name: String, at: PixelPoint, patch: &Patch, side_px: f64, paint: Option
 
 /// The ground beside a mark that would lie there.
 fn ground_around(at: PixelPoint, patch: &Patch, side_px: f64) -> Option<Ground> {
-    let (x0, y0, width) = (patch.window.x as f64, patch.window.y as f64, patch.window.width as usize);
-    let distance = |i: usize| ((i % width) as f64 + 0.5 + x0 - at.x).hypot((i / width) as f64 + 0.5 + y0 - at.y);
-    let is_beside = |i: &usize| distance(*i) > 1.1 * side_px && distance(*i) <= 2.0 * side_px + 6.0;
+    let width = patch.window.width as usize;
+    let is_beside = |i: &usize| {
+        let far = distance_px(patch, width, *i, at);
+        far > 1.1 * side_px && far <= 2.0 * side_px + 6.0
+    };
     let ring: Vec<[u16; 3]> =
         (0..patch.rgb.len()).filter(|&i| patch.valid[i]).filter(is_beside).map(|i| patch.rgb[i]).collect();
     sample_ground(&ring, patch.white)
@@ -389,7 +467,7 @@ mod tests {
         let level = |i: u64| if far(i % 60).max(far(i / 60)) < 5.0 { 200 } else { 100 };
         let rgb = (0..3600).map(|i| [level(i); 3]).collect();
         let patch = Patch { window, rgb, valid: vec![true; 3600], white: 255 };
-        look("7".into(), PixelPoint { x: 30.0, y: 30.0 }, &patch, 10.0, paint)
+        look("7".into(), PixelPoint { x: 30.0, y: 30.0 }, &patch, (10.0, Middle::Painted), paint)
     }
 
     /// A point whose mark lies whole beside the listed place was said to be hidden.
@@ -423,5 +501,28 @@ mod tests {
         assert!(seen.detail.contains("no whole target"), "{seen:?}");
         // White paint of which half is there stays faint.
         assert_eq!(plate(Some([255; 3])).reason, Reason::Faint);
+    }
+
+    /// The middle of a ring, which is ground, was taken for something of another colour.
+    #[test]
+    fn rings_are_asked_for_their_paint_where_they_have_it() {
+        let middle = Middle::by_shares(&[0.1, 0.1, 0.2, 0.8, 0.9, 0.7, 0.2, 0.0]);
+        assert_eq!(middle, Middle::Hollow { from_px: 2.5, to_px: 5.5 });
+        assert_eq!(Middle::by_shares(&[0.8, 0.9, 0.9, 0.5, 0.1]), Middle::Painted);
+        assert_eq!(Middle::by_shares(&[]), Middle::Painted);
+        let window = Window::new(0, 0, 60, 60);
+        let far = |i: u64| ((i % 60) as f64 + 0.5 - 30.0).hypot((i / 60) as f64 + 0.5 - 30.0);
+        // A green middle, and half of the ring.
+        let colour = |i: u64| match far(i) {
+            r if r < 2.5 => [40, 160, 60],
+            r if r < 5.5 && i % 60 < 30 => [255, 110, 0],
+            _ => [100; 3],
+        };
+        let patch = Patch { window, rgb: (0..3600).map(colour).collect(), valid: vec![true; 3600], white: 255 };
+        let at = PixelPoint { x: 30.0, y: 30.0 };
+        let seen = look("7".into(), at, &patch, (9.0, middle), Some([255, 110, 0]));
+        assert!(seen.reason == Reason::Hidden && seen.detail.contains("the marks' paint is there"), "{seen:?}");
+        let blind = look("7".into(), at, &patch, (9.0, Middle::Painted), Some([255, 110, 0]));
+        assert_eq!(blind.reason, Reason::OtherColour, "{blind:?}");
     }
 }

@@ -521,7 +521,7 @@ impl Worker<'_> {
                 }
                 // What would not stand beside a candidate of the detector itself is not looked at.
                 let view = View { block, window, info };
-                let decided = layer > 0 && standing.any_in(&region.bounds);
+                let decided = layer > 0 && standing.any_whole_in(&region.bounds);
                 let found = if decided { Vec::new() } else { self.layers[layer].examine_all(&region, &view) };
                 output.examined.push(Examined { layer, region, found });
             }

@@ -8,9 +8,9 @@
 //! good.
 
 use super::interior::distance;
-use super::remeasure::median;
 use super::types::{Camera, FrameResult, FrameStatus, MarkStatus};
 use autoref_raster::coords::{Handedness, PixelPoint};
+use autoref_raster::ranks::median;
 
 /// Fewer solved frames than this say nothing of each other.
 const LEAST_FRAMES: usize = 5;

@@ -4,9 +4,10 @@
 use super::constellation::Assembly;
 use super::frame::{FindOptions, Finder};
 use super::interior::Pose;
-use super::remeasure::{Measured, median};
+use super::remeasure::Measured;
 use super::resolution::Resolution;
 use super::types::{FrameResult, FrameStatus, InteriorModel, InteriorOrientation, MarkStatus};
+use autoref_raster::ranks::median;
 
 /// Assemblies by chance above which a frame is looked at by a person.
 const MOST_CHANCE: f64 = 2e-3;

@@ -14,6 +14,7 @@ use super::window::{around, read_grey};
 use autoref_raster::RasterSource;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
+use autoref_raster::ranks::median;
 
 /// A mark that correlates less is looked at by a person.
 pub(super) const GOOD_SCORE: f64 = 0.5;
@@ -385,10 +386,4 @@ pub(super) fn located(
 /// Film point and place.
 pub(super) fn placed(film: &[[f64; 2]], located: &[(usize, PixelPoint)]) -> Vec<([f64; 2], PixelPoint)> {
     located.iter().map(|(k, p)| (film[*k], *p)).collect()
-}
-
-pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    let n = values.len();
-    0.5 * (values[(n - 1) / 2] + values[n / 2])
 }

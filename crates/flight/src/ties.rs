@@ -148,6 +148,7 @@ fn around(place: [f64; 2], pairs: &[(usize, usize)], a: &Features, but: Option<u
     near
 }
 
+/// The upper of the two in the middle.
 fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f64::total_cmp).1

@@ -22,6 +22,7 @@ fn main() -> ExitCode {
     let times = cli::init_log(&cli);
     let profile_json = cli.profile_json.clone();
     let result = cli::inputs::check_numbers(&matches)
+        .and_then(|()| cli::without_effect::refuse(&matches))
         .and_then(|()| cli::inputs::guard(&matches))
         .map_err(anyhow::Error::from)
         .and_then(|()| profile_json.iter().try_for_each(|path| cli::stage_times::check(path)))

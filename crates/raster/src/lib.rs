@@ -51,6 +51,7 @@ pub mod path_text;
 mod pool;
 pub mod protected;
 pub mod random;
+pub mod ranks;
 pub mod referred;
 pub mod rings;
 pub mod sets;

@@ -6,7 +6,7 @@ use super::{ListFormat, Survey, names};
 use crate::gcp::odm::CHECK_PREFIX;
 use crate::gcp::packed::Packed;
 use crate::gcp::raw::RawPoint;
-use crate::gcp::{Gcp, GcpRole, angle, heights, text, titles};
+use crate::gcp::{Gcp, GcpRole, angle, heights, programs, text, titles};
 use autoref_raster::cells::without_apostrophe;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::words::counted;
@@ -99,9 +99,9 @@ pub(super) fn of(survey: &Survey, format: ListFormat) -> Vec<String> {
     lost
 }
 
-/// Pix4D's accuracies stand in columns without titles: all points have both, or none has any.
-pub(super) fn all_or_none(survey: &Survey, format: ListFormat) -> bool {
-    format != ListFormat::Pix4d || survey.gcps().all(|g| g.sigma_m.is_some() && g.sigma_height_m.is_some())
+/// Whether accuracies can be written where the format asks all points for both.
+fn all_or_none(survey: &Survey, format: ListFormat) -> bool {
+    format != ListFormat::Pix4d || programs::pix4d_has_accuracies(survey.gcps())
 }
 
 /// Titles of what the input says beyond a GCP.

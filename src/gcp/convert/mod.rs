@@ -5,7 +5,7 @@
 //! listed in [`Converted::lost`]; nothing is put in its place.
 
 mod losses;
-mod names;
+pub(crate) mod names;
 mod vectors;
 mod words;
 
@@ -254,7 +254,7 @@ pub(super) struct Survey {
 }
 
 impl Survey {
-    fn gcps(&self) -> impl Iterator<Item = &Gcp> {
+    fn gcps(&self) -> impl Iterator<Item = &Gcp> + Clone {
         self.points.iter().map(|p| &p.gcp)
     }
 

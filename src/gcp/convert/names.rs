@@ -25,7 +25,7 @@ fn holds(format: ListFormat, letter: char) -> bool {
 }
 
 /// The name with a blank for each letter that the format has not.
-pub(super) fn held(format: ListFormat, name: &str) -> Cow<'_, str> {
+pub(crate) fn held(format: ListFormat, name: &str) -> Cow<'_, str> {
     // OpenDroneMap's rows are cut at tabs, and a quote would open a cell.
     let is_quote = |c: char| format == ListFormat::Odm && c == '"';
     if name.chars().all(|c| holds(format, c) && !is_quote(c)) {

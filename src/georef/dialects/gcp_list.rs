@@ -1,16 +1,12 @@
-//! OpenDroneMap's `gcp_list.txt`: the CRS, then `geo_x geo_y geo_z im_x im_y image label`, cut by tabs.
-//!
-//! Its pixels count from the **centre** of the first pixel: OpenSfM, which reads them, adds 0.5 before anything else
-//! (`normalized_image_coordinates`), so that 0.5 is taken off here. A height that is not known is `NaN`, as
-//! OpenDroneMap's manual has it. Labels of check points begin with `CHK-`.
+//! OpenDroneMap's `gcp_list.txt`: the CRS, then a row for each mark. Labels of check points begin with `CHK-`.
 
 use std::path::Path;
 
 use super::{TiePoints, write_file};
+use crate::gcp::odm::CHECK_PREFIX;
+use crate::gcp::programs;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
-
-use crate::gcp::odm::CHECK_PREFIX;
 
 /// Writes the list.
 ///
@@ -19,28 +15,18 @@ use crate::gcp::odm::CHECK_PREFIX;
 pub fn write(path: &Path, tie_points: &TiePoints) -> Result<()> {
     let mut text = header(tie_points.crs.as_ref())?;
     text.push('\n');
-    if let Some(pair) = tie_points.pairs.iter().find(|pair| !pair.check && pair.name.starts_with(CHECK_PREFIX)) {
+    let is_taken = |name: &str| name.starts_with(CHECK_PREFIX);
+    if let Some(gcp) = tie_points.gcps().find(|gcp| !programs::is_check(gcp) && is_taken(&gcp.name)) {
         return Err(Error::usage(
             format!(
                 "`{}` is a control point, and gcp_list.txt has check points by names with {CHECK_PREFIX}",
-                pair.name
+                gcp.name
             ),
             "rename it in the list of points, or leave gcp-list out of --write",
         ));
     }
-    for pair in &tie_points.pairs {
-        text.push_str(&format!(
-            "{}\t{}\t{}\t{}\t{}\t{}\t{}{}\n",
-            pair.easting,
-            pair.northing,
-            pair.height.unwrap_or(f64::NAN),
-            pair.pixel.x - 0.5,
-            pair.pixel.y - 0.5,
-            tie_points.image_name,
-            if pair.check { CHECK_PREFIX } else { "" },
-            pair.name
-        ));
-    }
+    let row = |pair: &super::TiePoint| programs::odm_row(&pair.gcp, pair.pixel, &tie_points.image_name);
+    text.extend(tie_points.pairs.iter().map(row));
     write_file(path, &text)
 }
 
@@ -53,9 +39,6 @@ pub(super) fn header(crs: Option<&Crs>) -> Result<String> {
     let Some(crs) = crs else {
         return Err(Error::usage("OpenDroneMap's gcp_list.txt needs a CRS, and the points have none", REMEDY));
     };
-    crs.epsg().map(|code| Ok(format!("EPSG:{code}"))).unwrap_or_else(|| {
-        crs.proj_string().ok_or_else(|| {
-            Error::usage(format!("OpenDroneMap's gcp_list.txt cannot hold the CRS {}", crs.title()), REMEDY)
-        })
-    })
+    programs::odm_crs(crs)
+        .ok_or_else(|| Error::usage(format!("OpenDroneMap's gcp_list.txt cannot hold the CRS {}", crs.title()), REMEDY))
 }

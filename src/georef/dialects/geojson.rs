@@ -8,6 +8,7 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::{TiePoint, TiePoints, write_file};
+use crate::gcp::programs;
 use autoref_raster::error::Result;
 
 /// Writes the collection: features of `layer` "gcp" (where it was surveyed), "mark" (where the transform puts the mark)
@@ -18,22 +19,21 @@ use autoref_raster::error::Result;
 pub fn write(path: &Path, tie_points: &TiePoints) -> Result<()> {
     let mut features = Vec::new();
     for pair in &tie_points.pairs {
-        let mut surveyed = vec![pair.easting, pair.northing];
-        surveyed.extend(pair.height);
+        let mut surveyed = vec![pair.gcp.easting, pair.gcp.northing];
+        surveyed.extend(pair.gcp.height);
         features.push(feature("gcp", pair, json!({"type": "Point", "coordinates": surveyed})));
         if let Some(transform) = tie_points.transform {
             let mark = transform.apply(pair.pixel);
             let mark = json!([mark.easting, mark.northing]);
             features.push(feature("mark", pair, json!({"type": "Point", "coordinates": mark})));
-            let line = json!([mark, [pair.easting, pair.northing]]);
+            let line = json!([mark, [pair.gcp.easting, pair.gcp.northing]]);
             features.push(feature("residual", pair, json!({"type": "LineString", "coordinates": line})));
         }
     }
     let mut collection = Map::new();
     collection.insert("type".into(), json!("FeatureCollection"));
     if let Some(crs) = &tie_points.crs {
-        let name = crs.epsg().map_or_else(|| crs.wkt().to_string(), |code| format!("urn:ogc:def:crs:EPSG::{code}"));
-        collection.insert("crs".into(), json!({"type": "name", "properties": {"name": name}}));
+        collection.insert("crs".into(), programs::geojson_crs(crs));
     }
     collection.insert("features".into(), Value::Array(features));
     let text = serde_json::to_string_pretty(&Value::Object(collection)).expect("no map keys but strings");
@@ -43,18 +43,18 @@ pub fn write(path: &Path, tie_points: &TiePoints) -> Result<()> {
 fn feature(layer: &str, pair: &TiePoint, geometry: Value) -> Value {
     let mut properties = json!({
         "layer": layer,
-        "name": pair.name,
-        "role": if pair.check { "check" } else { "control" },
+        "name": pair.gcp.name,
+        "role": programs::role(&pair.gcp),
         "x": pair.pixel.x,
         "y": pair.pixel.y,
         "residual_e_m": pair.residual_e_m,
         "residual_n_m": pair.residual_n_m,
         "residual_m": pair.residual_e_m.hypot(pair.residual_n_m),
     });
-    if let Some(sigma_m) = pair.sigma_m {
+    if let Some(sigma_m) = pair.gcp.sigma_m {
         properties["sigma_m"] = json!(sigma_m);
     }
-    if let Some(sigma_m) = pair.sigma_height_m {
+    if let Some(sigma_m) = pair.gcp.sigma_height_m {
         properties["sigma_height_m"] = json!(sigma_m);
     }
     json!({"type": "Feature", "properties": properties, "geometry": geometry})

@@ -13,7 +13,9 @@ pub mod points;
 
 use std::path::{Path, PathBuf};
 
-use crate::gcp::Gcp;
+use crate::gcp::convert::{ListFormat, names};
+use crate::gcp::programs::{NoHeight, pix4d_has_accuracies};
+use crate::gcp::{Gcp, GcpRole};
 use crate::georef::write::Output;
 use crate::result::RunResult;
 use autoref_raster::coords::{GeoTransform, PixelPoint};
@@ -37,41 +39,34 @@ pub struct TiePoints {
 /// A surveyed point and where it was found in the image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TiePoint {
-    pub name: String,
+    /// As surveyed, in the units of the CRS; check points were kept out of the fit.
+    pub gcp: Gcp,
     /// (0, 0) is the outer corner of the first pixel.
     pub pixel: PixelPoint,
-    /// In the units of the CRS, as surveyed.
-    pub easting: f64,
-    pub northing: f64,
-    pub height: Option<f64>,
-    /// 1σ of the survey in each of easting and northing, metres.
-    pub sigma_m: Option<f64>,
-    /// The same of the height.
-    pub sigma_height_m: Option<f64>,
     /// Surveyed − computed.
     pub residual_e_m: f64,
     pub residual_n_m: f64,
-    /// Kept out of the fit.
-    pub check: bool,
 }
 
 impl TiePoints {
     /// Those of a result. `image` gives the name.
     pub fn of(result: &RunResult, image: &Path, crs: Option<&Crs>) -> Self {
-        let rows = result.matches().iter().map(|row| (row, false));
+        let rows = result.matches().iter().map(|row| (row, GcpRole::Control));
         let pairs = rows
-            .chain(result.check_points().iter().map(|row| (row, true)))
-            .map(|(row, check)| TiePoint {
-                name: row.gcp.clone(),
+            .chain(result.check_points().iter().map(|row| (row, GcpRole::Check)))
+            .map(|(row, role)| TiePoint {
+                gcp: Gcp {
+                    name: row.gcp.clone(),
+                    easting: row.easting,
+                    northing: row.northing,
+                    height: row.height,
+                    sigma_m: row.survey_sigma_m,
+                    sigma_height_m: row.survey_sigma_height_m,
+                    role,
+                },
                 pixel: PixelPoint { x: row.x, y: row.y },
-                easting: row.easting,
-                northing: row.northing,
-                height: row.height,
-                sigma_m: row.survey_sigma_m,
-                sigma_height_m: row.survey_sigma_height_m,
                 residual_e_m: row.residual_e_m,
                 residual_n_m: row.residual_n_m,
-                check,
             })
             .collect();
         TiePoints {
@@ -81,6 +76,19 @@ impl TiePoints {
             pairs,
             transform: result.geotransform(),
         }
+    }
+
+    pub(crate) fn gcps(&self) -> impl Iterator<Item = &Gcp> + Clone {
+        self.pairs.iter().map(|pair| &pair.gcp)
+    }
+
+    /// The same with names that a format can hold.
+    fn named_for(&self, format: ListFormat) -> Self {
+        let mut named = self.clone();
+        for pair in &mut named.pairs {
+            pair.gcp.name = names::held(format, &pair.gcp.name).into_owned();
+        }
+        named
     }
 }
 
@@ -110,16 +118,31 @@ pub fn files(output: Output, base: &Path) -> Vec<PathBuf> {
 /// # Errors
 /// When a file cannot be written, or the dialect cannot hold the points; the message says which.
 pub fn write(output: Output, paths: &[PathBuf], tie_points: &TiePoints) -> Result<()> {
+    let named = |format| tie_points.named_for(format);
     match (output, paths) {
-        (Output::Points, [path]) => points::write(path, tie_points),
-        (Output::GcpList, [path]) => gcp_list::write(path, tie_points),
+        (Output::Points, [path]) => points::write(path, &named(ListFormat::Qgis)),
+        (Output::GcpList, [path]) => gcp_list::write(path, &named(ListFormat::Odm)),
         (Output::GeoJson, [path]) => geojson::write(path, tie_points),
-        (Output::Csv, [path]) => csv::write(path, tie_points),
-        (Output::MicMac, [ground, image]) => micmac::write(ground, image, tie_points),
-        (Output::Metashape, [reference, markers]) => metashape::write(reference, markers, tie_points),
-        (Output::Pix4d, [gcps, marks]) => pix4d::write(gcps, marks, tie_points),
+        (Output::Csv, [path]) => csv::write(path, &named(ListFormat::Csv)),
+        (Output::MicMac, [ground, image]) => micmac::write(ground, image, &named(ListFormat::MicMac)),
+        (Output::Metashape, [reference, markers]) => {
+            metashape::write_reference(reference, &named(ListFormat::MetashapeCsv))?;
+            metashape::write_markers(markers, &named(ListFormat::MetashapeXml))
+        }
+        (Output::Pix4d, [gcps, marks]) => pix4d::write(gcps, marks, &named(ListFormat::Pix4d)),
         _ => Err(Error::usage(format!("`{output}` is no list of tie points"), "this is a mistake in the program")),
     }
+}
+
+/// What the points have and a dialect does not say, in plain words.
+pub fn lost(output: Output, tie_points: &TiePoints) -> Option<String> {
+    let has_some = tie_points.gcps().any(|gcp| gcp.sigma_m.is_some() || gcp.sigma_height_m.is_some());
+    let is_left_out = output == Output::Pix4d && has_some && !pix4d_has_accuracies(tie_points.gcps());
+    is_left_out.then(|| {
+        "Pix4D's list is written without accuracies: it can hold them only where every point has one of its place and \
+         one of its height (`sigma_m`, `sigma_height_m`)"
+            .into()
+    })
 }
 
 /// Refuses, before any work, what a dialect cannot hold.
@@ -142,7 +165,8 @@ pub fn check(outputs: &[Output], image: &Path, crs: Option<&Crs>, gcps: &[Gcp]) 
             }
             Output::MicMac | Output::Pix4d => {
                 if let Some(gcp) = gcps.iter().find(|gcp| gcp.height.is_none()) {
-                    return Err(no_height(if *output == Output::MicMac { "MicMac" } else { "Pix4D" }, &gcp.name));
+                    let program = if *output == Output::MicMac { "MicMac" } else { "Pix4D" };
+                    return Err(no_height(program, NoHeight(gcp.name.clone())));
                 }
             }
             _ => {}
@@ -151,15 +175,11 @@ pub fn check(outputs: &[Output], image: &Path, crs: Option<&Crs>, gcps: &[Gcp]) 
     Ok(())
 }
 
-fn no_height(program: &str, name: &str) -> Error {
+fn no_height(program: &str, NoHeight(name): NoHeight) -> Error {
     Error::usage(
         format!("{program} needs heights, and `{name}` has none"),
         "complete the list of points, or choose another --write",
     )
-}
-
-fn required_height(program: &str, pair: &TiePoint) -> Result<f64> {
-    pair.height.ok_or_else(|| no_height(program, &pair.name))
 }
 
 fn write_file(path: &Path, text: &str) -> Result<()> {
@@ -170,20 +190,19 @@ fn write_file(path: &Path, text: &str) -> Result<()> {
 mod tests {
     use super::*;
 
-    fn written(output: Output, crs: Option<Crs>) -> String {
+    fn written(name: &str, output: Output, crs: Option<Crs>) -> String {
         let folder = tempfile::tempdir().expect("a folder");
         let paths = files(output, &folder.path().join("e6.tif"));
         let pair = TiePoint {
-            name: "A".into(),
+            gcp: Gcp {
+                height: Some(12.0),
+                sigma_m: Some(0.02),
+                sigma_height_m: Some(0.09),
+                ..Gcp::control(name, 10.7, 59.9)
+            },
             pixel: PixelPoint { x: 1.5, y: 2.5 },
-            easting: 10.7,
-            northing: 59.9,
-            height: Some(12.0),
-            sigma_m: Some(0.02),
-            sigma_height_m: Some(0.09),
             residual_e_m: 0.0,
             residual_n_m: 0.0,
-            check: false,
         };
         let tie_points =
             TiePoints { image_name: "e6.tif".into(), image_size_px: None, crs, pairs: vec![pair], transform: None };
@@ -198,8 +217,9 @@ mod tests {
             (Output::Pix4d, "A,10.7,59.9,12,0.02,0.09\n"),
             (Output::Metashape, "sx=\"0.02\" sy=\"0.02\" sz=\"0.09\""),
             (Output::GeoJson, "\"sigma_height_m\": 0.09"),
+            (Output::Csv, ",12,0.02,0.09,"),
         ] {
-            let text = written(output, None);
+            let text = written("A", output, None);
             assert!(text.contains(expected), "{text}");
         }
     }
@@ -207,6 +227,13 @@ mod tests {
     #[test]
     fn pix4d_has_the_latitude_first() {
         let degrees = Crs::from_epsg(4326).expect("WGS 84");
-        assert!(written(Output::Pix4d, Some(degrees)).starts_with("A,59.9,10.7,12,"));
+        assert!(written("A", Output::Pix4d, Some(degrees)).starts_with("A,59.9,10.7,12,"));
+    }
+    #[test]
+    fn names_are_such_as_a_row_can_hold() {
+        let odm = Crs::from_epsg(25832).expect("UTM");
+        let rows = written("A\t\"1\"\nB", Output::GcpList, Some(odm));
+        assert_eq!(rows.lines().map(|row| row.split('\t').count()).collect::<Vec<_>>(), [1, 7], "{rows}");
+        assert!(rows.ends_with("\tA '1' B\n"), "{rows}");
     }
 }

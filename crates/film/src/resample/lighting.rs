@@ -12,11 +12,11 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::remeasure::median;
 use crate::types::{Camera, InteriorOrientation};
 use crate::window::read_grey;
 use autoref_raster::RasterSource;
 use autoref_raster::error::Result;
+use autoref_raster::ranks::median;
 use autoref_raster::window::Window;
 
 /// Cells along a side of the image.

@@ -53,6 +53,7 @@ pub mod synth_film;
 pub mod synth_flight;
 pub mod undo;
 mod values;
+pub mod without_effect;
 pub mod working_crs;
 pub mod write;
 

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::coords::PixelPoint;
+use autoref_raster::ranks::median;
 use autoref_raster::{Patch, RasterSource, ReaderChoice};
-use autoref_stream::candidate::scene::median;
 use autoref_stream::learn::{
     DEFAULT_REACH_PX, LearnOptions, Lesson, RoughRule, SampleStatistics, learn, learn_colours, learn_outlined,
     learn_with, read_colours,

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use autoref_raster::atomic::Existing;
+use autoref_raster::error::Error;
 use autoref_raster::output_folder::OutputFolder;
 use autoref_raster::tile_folder;
 use autoref_stream::georef::warp::{Border, Compression, Resampling, WarpOptions};
@@ -33,14 +34,14 @@ pub struct WriteArgs {
 /// The north-up copy of `--write warp`.
 #[derive(Args, Debug)]
 pub struct WarpArgs {
-    /// How a pixel of the copy is made of those around it.
-    #[arg(long, value_name = "HOW", default_value_t, value_parser = names::<Resampling>(Resampling::ALL.map(Resampling::name)),
+    /// How a pixel of the copy is made of those around it. Default: bilinear.
+    #[arg(long, value_name = "HOW", value_parser = names::<Resampling>(Resampling::ALL.map(Resampling::name)),
         help_heading = "Output: warp")]
-    pub resampling: Resampling,
-    /// Compression of the copy; jpeg and webp lose detail.
-    #[arg(long, value_name = "HOW", default_value_t, value_parser = names::<Compression>(Compression::ALL.map(Compression::name)),
+    pub resampling: Option<Resampling>,
+    /// Compression of the copy; jpeg and webp lose detail. Default: deflate.
+    #[arg(long, value_name = "HOW", value_parser = names::<Compression>(Compression::ALL.map(Compression::name)),
         help_heading = "Output: warp")]
-    pub compress: Compression,
+    pub compress: Option<Compression>,
     /// Quality of jpeg and webp, 1 to 100. Default: 75.
     #[arg(long, value_name = "Q", value_parser = clap::value_parser!(u8).range(1..=100), help_heading = "Output: warp")]
     pub quality: Option<u8>,
@@ -49,15 +50,22 @@ pub struct WarpArgs {
     pub resolution: Option<f64>,
     /// What is where no image is: alpha (one more band), or a nodata value. Default: the image's nodata value if it has
     /// one, -9999 for elevation models without, else alpha.
-    #[arg(
-        long,
-        value_name = "alpha|VALUE",
-        default_value = "auto",
-        allow_hyphen_values = true,
-        hide_default_value = true,
-        help_heading = "Output: warp"
-    )]
-    pub border: Border,
+    #[arg(long, value_name = "alpha|VALUE", allow_hyphen_values = true, help_heading = "Output: warp")]
+    pub border: Option<Border>,
+}
+
+impl WarpArgs {
+    /// An option of the copy that was given.
+    fn given(&self) -> Option<&'static str> {
+        let given = [
+            ("--resampling", self.resampling.is_some()),
+            ("--compress", self.compress.is_some()),
+            ("--quality", self.quality.is_some()),
+            ("--resolution", self.resolution.is_some()),
+            ("--border", self.border.is_some()),
+        ];
+        given.into_iter().find(|(_, is_given)| *is_given).map(|(option, _)| option)
+    }
 }
 
 fn names<T>(names: impl IntoIterator<Item = &'static str>) -> impl TypedValueParser<Value = T>
@@ -83,6 +91,20 @@ impl WriteArgs {
         }
     }
 
+    /// An option of a kind that is not written would be left out without a word.
+    fn refuse_what_has_no_effect(&self, kinds: &[Output]) -> Result<(), Error> {
+        let unused = match self.warp.given() {
+            Some(option) if !kinds.contains(&Output::Warp) => Some((option, "warp")),
+            _ => (self.break_cog && !kinds.contains(&Output::Tags)).then_some(("--break-cog", "tags")),
+        };
+        unused.map_or(Ok(()), |(option, kind)| {
+            Err(Error::usage(
+                format!("{option} belongs to --write {kind}, and {kind} is not written"),
+                format!("add {kind} to --write, or leave {option} out"),
+            ))
+        })
+    }
+
     /// The folder of `--out`, for as long as the run lasts.
     pub fn folder(&self) -> anyhow::Result<Option<OutputFolder>> {
         Ok(self.out.as_deref().map(OutputFolder::make).transpose()?)
@@ -96,16 +118,17 @@ impl WriteArgs {
         memory_budget_bytes: u64,
         threads: usize,
     ) -> anyhow::Result<WriteRequest> {
-        let mut request =
-            WriteRequest::new(image, self.out.as_deref(), &self.kinds(image), Existing::of_flag(self.overwrite));
+        let kinds = self.kinds(image);
+        self.refuse_what_has_no_effect(&kinds)?;
+        let mut request = WriteRequest::new(image, self.out.as_deref(), &kinds, Existing::of_flag(self.overwrite));
         request.page = page;
         request.tags.break_cog = self.break_cog;
         request.warp = WarpOptions {
-            resampling: self.warp.resampling,
-            compression: self.warp.compress,
+            resampling: self.warp.resampling.unwrap_or_default(),
+            compression: self.warp.compress.unwrap_or_default(),
             quality: self.warp.quality,
             resolution: self.warp.resolution,
-            border: self.warp.border,
+            border: self.warp.border.unwrap_or_default(),
             memory_budget_bytes,
             threads,
         };

@@ -9,6 +9,7 @@ use autoref_flight::Error;
 use autoref_flight::read::tables::CameraRow;
 use autoref_raster::crs::Crs;
 use autoref_raster::jpeg_end;
+use autoref_raster::ranks;
 use gdal::raster::GdalDataType;
 use gdal::{Dataset, Metadata};
 use rayon::prelude::*;
@@ -263,10 +264,9 @@ pub enum Deviations {
     LeftOut,
 }
 
-/// The middle value, the upper of two; `None` of none.
-pub fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
+/// The median; `None` of none.
+pub fn median(values: Vec<f64>) -> Option<f64> {
+    (!values.is_empty()).then(|| ranks::median(values))
 }
 
 /// The table of rough positions that frames tell, in `crs`, or in the UTM zone of the first; directions count from the
