@@ -6,7 +6,7 @@
 //! of paint in each pixel, in which texture is weakest; and a blurred shape is fitted to that picture ([`super::fit`]).
 //! The answer depends on nothing but the patch, so no tiling can change it.
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::Vector3;
 
 use super::Candidate;
 use super::even;
@@ -396,11 +396,11 @@ pub(super) fn candidate(
         return None;
     }
     // What looks like one of a figure's two fields may be that, though too small or too worn to show it.
-    if profile.examine.centre == CentreMode::Fit
-        && let Some(to_middle) = middle_if_field(scene)
-        && !is_within(&evidence, scene, to_middle)
-    {
-        evidence = widen(evidence, apart(to_middle.x, to_middle.y));
+    if profile.examine.centre == CentreMode::Fit {
+        let at = PixelPoint { x: evidence.centre.0, y: evidence.centre.1 };
+        if let Some(open) = open_if_field(scene, at, evidence.area_px) {
+            evidence = widen(evidence, open);
+        }
     }
     Some(Candidate {
         centre: PixelPoint { x: evidence.centre.0, y: evidence.centre.1 },
@@ -414,14 +414,16 @@ pub(super) fn candidate(
     })
 }
 
-/// Whether the paint that lies twice as far as this from the scene's own is a part of the mark that was measured.
-fn is_within(evidence: &Evidence, scene: &Scene<'_>, to_middle: Vector2<f64>) -> bool {
+/// What is open about a centre where paint beside the scene's own makes this one of a figure's two fields, px²; `None`
+/// where it does not, or lies within the mark that was measured.
+pub(super) fn open_if_field(scene: &Scene<'_>, centre: PixelPoint, area_px: f64) -> Option<[f64; 3]> {
     /// In a square no part's middle lies farther from the square's, as a share of its side.
     const HALF_DIAGONAL: f64 = 0.6;
+    let to_middle = middle_if_field(scene)?;
     let ((x, y), window) = (middle(&scene.own, scene.width), &scene.patch.window);
     let other = (x + 0.5 + window.x as f64 + 2.0 * to_middle.x, y + 0.5 + window.y as f64 + 2.0 * to_middle.y);
-    let off = (other.0 - evidence.centre.0).hypot(other.1 - evidence.centre.1);
-    off < HALF_DIAGONAL * evidence.area_px.sqrt()
+    let off = (other.0 - centre.x).hypot(other.1 - centre.y);
+    (off >= HALF_DIAGONAL * area_px.sqrt()).then(|| apart(to_middle.x, to_middle.y))
 }
 
 /// The measurements behind [`examine`]; `None` when the region's paint is not in the patch or belongs to a mark that

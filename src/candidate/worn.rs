@@ -8,12 +8,13 @@
 use nalgebra::Vector3;
 
 use super::Candidate;
-use super::examine::{Around, Evidence, Looks, candidate, figure_of, growth, near, settle, unfitted};
+use super::examine::{Around, Evidence, Looks, candidate, figure_of, growth, near, open_if_field, settle, unfitted};
 use super::figure::Figure;
 use super::fit::Fit;
 use super::gates::{Gates, moments_rectangle};
 use super::local::Local;
 use super::paint_share::{Across, best_fit};
+use super::pixel_set::PixelSet;
 use super::scene::{OwnPaint, RING_PX, Scene};
 use super::split::region_of;
 use super::whole::{self, Whole};
@@ -148,6 +149,33 @@ impl Worn {
         }
         let evidence = self.measure(region, pixels)?;
         candidate(evidence, &scene, region, &self.classifier, &self.profile, &self.gates)
+    }
+
+    /// A candidate of the paint that is not worn, with what is open about its centre where worn paint beside it makes it
+    /// one of a figure's two fields: the other lies on brighter ground, that shines through.
+    pub fn with_field_beside(&self, mut found: Candidate, region: &Region, pixels: &dyn Pixels) -> Candidate {
+        /// The border of the candidate's own paint, which is worn paint by its colour.
+        const BORDER_PX: usize = 2;
+        let (patch, area_px) = (near(pixels, region), found.area_px.unwrap_or(0.0));
+        let (width, height) = (patch.window.width as usize, patch.window.height as usize);
+        let (x, y) = (found.centre.x - patch.window.x as f64, found.centre.y - patch.window.y as f64);
+        let is_near = |i: usize| {
+            let (dx, dy) = ((i % width) as f64 + 0.5 - x, (i / width) as f64 + 0.5 - y);
+            std::f64::consts::PI * (dx * dx + dy * dy) <= area_px
+        };
+        let paint = PixelSet::of_bits(&self.classifier.paint_bits(&patch.rgb), width, height);
+        // Its own paint may be joined to the other field at a corner, and be found in part by its own mask.
+        let disc = PixelSet::from_fn(width, height, is_near);
+        let own = paint.and(&disc);
+        if own.is_empty() {
+            return found;
+        }
+        let scene = Scene::of_pixels(&patch, own.clone(), &own.or(&paint.minus(&disc.grown(BORDER_PX))));
+        let open = open_if_field(&scene, found.centre, area_px);
+        if let (Some(covariance), Some(open)) = (&mut found.covariance_px2, open) {
+            covariance.iter_mut().zip(open).for_each(|(own, open)| *own += open);
+        }
+        found
     }
 
     /// Whether the paint stands out from the ground beside it, and lies between it and fresh paint.

@@ -67,6 +67,13 @@ impl PaintDetector {
         Ok(PaintDetector { profile, classifier, gates, filters, info: info.clone(), bright, worn })
     }
 
+    fn with_field_beside(&self, found: Candidate, region: &Region, pixels: &dyn Pixels) -> Candidate {
+        match &self.worn {
+            Some(worn) => worn.with_field_beside(found, region, pixels),
+            None => found,
+        }
+    }
+
     /// For places where a mark must be: the same colours and shapes, but a weak score is enough.
     pub fn relaxed(&self) -> Self {
         let mut profile = self.profile.clone();
@@ -109,7 +116,8 @@ impl Detector for PaintDetector {
     }
 
     fn examine(&self, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
-        examine(region, pixels, &self.classifier, &self.profile, &self.gates)
+        let found = examine(region, pixels, &self.classifier, &self.profile, &self.gates)?;
+        Some(self.with_field_beside(found, region, pixels))
     }
 
     fn outline(&self, region: &Region, pixels: &dyn Pixels) -> Option<(PixelPoint, Vec<PixelPoint>)> {
@@ -121,7 +129,10 @@ impl Detector for PaintDetector {
         if !self.profile.examine.split || !self.filters.is_identity() {
             return self.examine(region, pixels).into_iter().collect();
         }
-        examine_parts(region, pixels, &self.classifier, &self.profile, &self.gates)
+        match &examine_parts(region, pixels, &self.classifier, &self.profile, &self.gates)[..] {
+            [found] => vec![self.with_field_beside(found.clone(), region, pixels)],
+            found => found.to_vec(),
+        }
     }
 
     fn stricter(&self) -> Option<Box<dyn Detector>> {

@@ -51,6 +51,11 @@ impl WornPaint {
         Ok(WornPaint { worn })
     }
 
+    /// See [`Worn::with_field_beside`].
+    pub fn with_field_beside(&self, found: Candidate, region: &Region, pixels: &dyn Pixels) -> Candidate {
+        self.worn.with_field_beside(found, region, pixels)
+    }
+
     /// The same paint, examined as another profile asks.
     pub fn with_profile(&self, profile: &Profile) -> WornPaint {
         let mut worn = self.worn.clone();
