@@ -39,10 +39,11 @@ const GUIDED_FIRST: usize = 2000;
 const GUIDED_STEP: usize = 4;
 /// One part in so many of the budget of hypotheses for each search among fewer than all, and for patterns that grow.
 const EARLY_SHARE: u64 = 8;
-/// A list that repeats itself is hardly ever believed, a long list with a known scale is searched with few looks: they
-/// get such a part of the budget.
-const REPEATED_PART: u64 = 5;
-const LONG_PART: u64 = 2;
+/// A list that repeats itself is hardly ever believed, a hypothesis about a long list costs more than it is charged, and
+/// with a known scale it takes few looks: they get so many percent of the budget.
+const REPEATED_PERCENT: u64 = 20;
+const LONG_PERCENT: u64 = 70;
+const LONG_OF_SCALE_PERCENT: u64 = 50;
 const GROWTH_SHARE: u64 = 3;
 /// How often a rival may take the first place before the last is left there; two so close are refused anyhow.
 const MOST_CHALLENGES: usize = 3;
@@ -117,6 +118,12 @@ pub(super) fn control_points(gcps: &[Gcp]) -> (Vec<usize>, Vec<MapPoint>) {
 }
 
 impl RobustMatcher {
+    /// Which part of the work of the first search each later one may do, after a refusal of a list of so many points:
+    /// one in so many.
+    pub fn later_part(points: usize) -> u64 {
+        if points < LONG { 4 } else { 8 }
+    }
+
     /// The answer without names. A list that repeats itself is hardly ever believed; the search for it is short.
     fn by_places(
         &self,
@@ -125,12 +132,14 @@ impl RobustMatcher {
         priors: &Priors,
     ) -> MatchOutcome {
         let repetition = Repetition::of(positions, priors);
-        let part = match repetition {
-            Some(_) => REPEATED_PART,
-            None if positions.len() >= LONG && priors.narrow_by_scale() => LONG_PART,
-            None => 1,
+        let percent = match repetition {
+            Some(_) => REPEATED_PERCENT,
+            None if positions.len() < LONG => 100,
+            None if priors.narrow_by_scale() => LONG_OF_SCALE_PERCENT,
+            None => LONG_PERCENT,
         };
-        let matcher = RobustMatcher { budget_hypotheses: self.budget_hypotheses / part, ..self.clone() };
+        let budget_hypotheses = self.budget_hypotheses * percent / 100;
+        let matcher = RobustMatcher { budget_hypotheses, ..self.clone() };
         let found = matcher.search_guided(candidates, positions, priors, None);
         let mut outcome = matcher.decide(found, candidates.len(), control, priors);
         if let (MatchOutcome::NoMatch(evidence), Some(repetition)) = (&mut outcome, repetition) {

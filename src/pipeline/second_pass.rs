@@ -16,9 +16,12 @@ use autoref_raster::{Patch, RasterSource, read_patch};
 const MOST_TEACHERS: usize = 12;
 /// After a refusal nobody knows whether marks have taught or ground. Marks are like their teachers and score best;
 /// ground gives thousands of candidates, and to refuse them would take minutes. So many of the strongest are matched,
-/// or so many for each point.
+/// or so many for each point, and no more than so many.
 const MOST_LEARNED: usize = 200;
 const MOST_LEARNED_EACH: usize = 2;
+const MOST_LEARNED_OF_LONG_LIST: usize = 600;
+/// A partial match that chance produces more often (log₁₀) teaches what chance joined; the strongest candidates teach.
+const MOST_BY_CHANCE_LOG10: f64 = 2.0;
 
 /// What the second pass did.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -159,7 +162,7 @@ pub fn look_closer(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
 
 /// Leaves the candidates of the best scores that are worth matching to so many points after a refusal, in their order.
 pub(super) fn keep_strongest(candidates: &mut Vec<Candidate>, points: usize) {
-    let most = MOST_LEARNED.max(MOST_LEARNED_EACH * points);
+    let most = (MOST_LEARNED_EACH * points).clamp(MOST_LEARNED, MOST_LEARNED_OF_LONG_LIST);
     if candidates.len() <= most {
         return;
     }
@@ -188,7 +191,7 @@ fn teachers(run: &Run) -> (&'static str, Vec<PixelPoint>) {
     match &run.outcome {
         Outcome::Solved(orientation) => ("matched marks", strongest(orientation.marks.iter().map(|found| &found.mark))),
         Outcome::Refused(evidence) => match &evidence.best {
-            Some(best) if best.pairs.len() >= 3 => {
+            Some(best) if best.pairs.len() >= 3 && best.log10_false_alarms <= MOST_BY_CHANCE_LOG10 => {
                 ("marks of the best partial match", strongest(best.pairs.iter().map(|pair| &candidates[pair.0])))
             }
             _ => ("of the strongest candidates", strongest(candidates.iter())),

@@ -87,9 +87,6 @@ pub struct KnownPlace {
     pub centre_px: autoref_raster::coords::PixelPoint,
 }
 
-/// All attempts to undo a mistake may do this part of the work of the search.
-const TOGETHER_PART: u64 = 4;
-
 /// What the diagnosis is told.
 pub struct GrossErrors<'a> {
     pub candidates: &'a [Candidate],
@@ -120,7 +117,9 @@ impl GrossErrors<'_> {
         let matcher = RobustMatcher {
             // Each attempt is one more chance for a false alarm; together they must not take long.
             tries: self.matcher.tries * (1.0 + attempts.len() as f64),
-            budget_hypotheses: self.matcher.budget_hypotheses / TOGETHER_PART / attempts.len() as u64,
+            budget_hypotheses: self.matcher.budget_hypotheses
+                / RobustMatcher::later_part(self.gcps.len())
+                / attempts.len() as u64,
             ..self.matcher.clone()
         };
         let fits = |attempt: &Attempt| match matcher.find(self.candidates, &attempt.gcps, &attempt.priors) {

@@ -17,9 +17,6 @@ use autoref_stream::pipeline::georeference::{Outcome, Surroundings, diagnose};
 use crate::cli::args::MatchArgs;
 use crate::cli::working_crs::Force;
 
-/// All attempts without an option together may do this part of the work of the search.
-const TOGETHER_PART: u64 = 4;
-
 /// Titles of a column with names of marks.
 const NAMES: [&str; 5] = ["name", "label", "gcp", "gcp_name", "marker"];
 
@@ -70,7 +67,10 @@ fn blame_options(
         max_false_alarms: matching.max_false_alarms,
         // Each attempt is one more chance for a false alarm.
         tries: 1.0 + attempts.len() as f64,
-        budget_hypotheses: RobustMatcher::default().budget_hypotheses / TOGETHER_PART / attempts.len().max(1) as u64,
+        // All together may do what one later search may.
+        budget_hypotheses: RobustMatcher::default().budget_hypotheses
+            / RobustMatcher::later_part(list.gcps.len())
+            / attempts.len().max(1) as u64,
         time_limit: time_limit.clone(),
     };
     let fits = |(options, priors): &(&str, Priors)| match matcher.find(

@@ -11,7 +11,7 @@ use autoref_raster::memory_plan;
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::dialects;
 use autoref_stream::georef::write::{Output, WriteRequest};
-use autoref_stream::matching::{Priors, TimeLimit};
+use autoref_stream::matching::{Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::colour_search::{ColourSearch, MOST_CLUSTERS, colour_search};
 use autoref_stream::pipeline::georeference::{Job, Orientation, Outcome, Refine, Run, georeference};
@@ -159,18 +159,20 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let priors = prepare::priors(info, &args.matching);
     // Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident.
     // The first look has half of what is allowed, the second a quarter, all clusters of colour together the last. Later
-    // looks match the strongest candidates only: of the work each may do a quarter of what the first may.
+    // looks match the strongest candidates only: of the work each may do a quarter of what the first may, of a long
+    // list, whose hypotheses cost more, an eighth.
     let learns = matches!(detector, MarkDetector::Paint(_))
         && args.second_pass != SecondPassArg::Never
         && args.refine == RefineArg::Always;
     let time_limit = args.matching.limit();
     let own = prepare::own_handedness(info, &args.matching);
-    let matcher_of = |chances: usize, part: usize| {
-        let shared = Shared { chances: priors.len() * chances, part: part as u64 };
+    let matcher_of = |chances: usize, part: u64| {
+        let shared = Shared { chances: priors.len() * chances, part };
         prepare::matcher(&args.matching, own, shared, &time_limit)
     };
-    let (matcher, learned_matcher) = (matcher_of(if learns { 2 } else { 1 }, 1)?, matcher_of(4, 4)?);
-    let cluster_matcher = matcher_of(4 * MOST_CLUSTERS, 4 * MOST_CLUSTERS)?;
+    let later = RobustMatcher::later_part(list.gcps.len());
+    let (matcher, learned_matcher) = (matcher_of(if learns { 2 } else { 1 }, 1)?, matcher_of(4, later)?);
+    let cluster_matcher = matcher_of(4 * MOST_CLUSTERS, later * MOST_CLUSTERS as u64)?;
     let bar = Bar::new(info, args.quiet || args.json);
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();
