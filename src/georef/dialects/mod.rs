@@ -236,4 +236,20 @@ mod tests {
         assert_eq!(rows.lines().map(|row| row.split('\t').count()).collect::<Vec<_>>(), [1, 7], "{rows}");
         assert!(rows.ends_with("\tA '1' B\n"), "{rows}");
     }
+
+    #[test]
+    fn accuracies_that_pix4d_cannot_hold_are_said_to_be_lost() {
+        let pair = |sigma_height_m| TiePoint {
+            gcp: Gcp { sigma_m: Some(0.02), sigma_height_m, ..Gcp::control("A", 1.0, 2.0) },
+            pixel: PixelPoint { x: 1.5, y: 2.5 },
+            residual_e_m: 0.0,
+            residual_n_m: 0.0,
+        };
+        let points =
+            |pairs| TiePoints { image_name: "e6.tif".into(), image_size_px: None, crs: None, pairs, transform: None };
+        assert_eq!(lost(Output::Pix4d, &points(vec![pair(Some(0.05))])), None);
+        let some = points(vec![pair(Some(0.05)), pair(None)]);
+        assert!(lost(Output::Pix4d, &some).is_some_and(|said| said.contains("sigma_height_m")));
+        assert_eq!(lost(Output::Metashape, &some), None);
+    }
 }
