@@ -306,11 +306,13 @@ fn displaced(name: String, at: PixelPoint, mark: PixelPoint, similarity: &Simila
     NotFound { offset_e_m: Some(e), offset_n_m: Some(n), ..NotFound::new(name, Reason::Displaced, at, detail) }
 }
 
+/// What stands out less is ground; as in the examination.
+const LEAST_CONTRAST: f64 = 4.0;
 /// With at least this share of the paint's contrast it is not for faintness that a mark was not found, ...
 const FULL: f64 = 0.7;
-/// ... nor with this share of it where it stands out so many deviations: a border of light or of ground through the
-/// mark makes half of its paint another.
-const PLAIN: (f64, f64) = (0.5, 10.0);
+/// ... nor where so large a part of its place has that much: what covers a mark in part, or a border of light or ground
+/// through it, leaves the rest as it was.
+const IN_PART: f64 = 0.25;
 
 /// What the window shows about its place.
 fn look(
@@ -320,8 +322,6 @@ fn look(
     (side_px, middle): (f64, Middle),
     paint: Option<[u8; 3]>,
 ) -> NotFound {
-    /// What stands out less is ground; as in the examination.
-    const LEAST_CONTRAST: f64 = 4.0;
     /// A trace of paint is at least this share of it, and so many times what bare ground around looks like.
     const TRACE: f64 = 0.08;
     const MORE_THAN_GROUND: f64 = 1.5;
@@ -346,19 +346,19 @@ fn look(
         let step = colour - ground.mean;
         inverse.map_or(0.0, |inverse| step.dot(&(inverse * step)).max(0.0).sqrt())
     };
-    let mean_about = |(dx, dy): (f64, f64)| {
-        let (mut sum, mut n) = (Vector3::zeros(), 0.0);
-        for i in 0..patch.rgb.len() {
-            let far = distance_px(patch, width, i, PixelPoint { x: at.x + dx, y: at.y + dy });
-            if patch.valid[i] && far >= from && far <= to {
-                sum += Vector3::from(patch.rgb[i].map(|v| f64::from(v) * scale));
-                n += 1.0;
-            }
-        }
+    let colours_about = |(dx, dy): (f64, f64)| {
+        let middle = PixelPoint { x: at.x + dx, y: at.y + dy };
+        let is_of_place = move |i: &usize| (from..=to).contains(&distance_px(patch, width, *i, middle));
+        let indices = (0..patch.rgb.len()).filter(|&i| patch.valid[i]).filter(is_of_place);
+        indices.map(|i| Vector3::from(patch.rgb[i].map(|v| f64::from(v) * scale)))
+    };
+    let mean_about = |place: (f64, f64)| {
+        let (sum, n) = colours_about(place).fold((Vector3::zeros(), 0.0), |(sum, n), colour| (sum + colour, n + 1.0));
         (n > 0.0).then(|| sum / n)
     };
-    let best = places.filter_map(mean_about).max_by(|a, b| contrast_of(a).total_cmp(&contrast_of(b)));
-    let Some(colour) = best else {
+    let seen = places.filter_map(|place| Some((mean_about(place)?, place)));
+    let best = seen.max_by(|(a, _), (b, _)| contrast_of(a).total_cmp(&contrast_of(b)));
+    let Some((colour, place)) = best else {
         return NotFound::new(name, Reason::Hidden, at, "the image holds nothing there".into());
     };
     let contrast = contrast_of(&colour);
@@ -371,16 +371,17 @@ fn look(
             .map(|colour| paint.map_or(0.0, |paint| share_of(&ground, &colour, paint)));
         share >= TRACE && contrast >= 1.0 && share >= MORE_THAN_GROUND * of_ground.fold(0.0, f64::max)
     };
+    // Of the place, what has the paint's contrast.
+    let painted = paint.map_or(0.0, |paint| {
+        let shares: Vec<f64> = colours_about(place).map(|colour| share_of(&ground, &colour, paint)).collect();
+        shares.iter().filter(|share| **share >= FULL).count() as f64 / shares.len().max(1) as f64
+    });
     let hex = hex(&colour);
-    let percent = 100.0 * share;
-    let (reason, detail) = if contrast >= LEAST_CONTRAST && is_other_paint {
-        (Reason::OtherColour, format!("what stands out there is {hex}"))
-    } else if contrast >= LEAST_CONTRAST && (share >= FULL || (share >= PLAIN.0 && contrast >= PLAIN.1)) {
-        let what = format!(
-            "the marks' paint is there, {percent:.0} % of its contrast, but no whole mark: covered in part, cut, across a \
-             border of light or ground, or beside its surveyed place"
-        );
+    let (reason, detail) = if contrast < LEAST_CONTRAST && !is_trace() {
+        let what = format!("no paint is seen there, only ground or cover of {hex}, much as around it");
         (Reason::Hidden, what)
+    } else if contrast >= LEAST_CONTRAST && is_other_paint {
+        (Reason::OtherColour, format!("what stands out there is {hex}"))
     } else if contrast >= LEAST_CONTRAST && paint.is_none() {
         // Targets that are found by their shape have no paint to be faint.
         let what = format!(
@@ -388,15 +389,25 @@ fn look(
              cut, or of another shape"
         );
         (Reason::Hidden, what)
-    } else if contrast >= LEAST_CONTRAST || is_trace() {
-        let what =
-            format!("{percent:.0} % of the paint's contrast, {contrast:.1} times the scatter of the ground around");
-        (Reason::Faint, what)
     } else {
-        let what = format!("no paint is seen there, only ground or cover of {hex}, much as around it");
-        (Reason::Hidden, what)
+        paint_there(share, painted, contrast)
     };
     NotFound { contrast: Some(contrast), colour: Some(hex), ..NotFound::new(name, reason, at, detail) }
+}
+
+/// What is said where the marks' paint is seen: its share of the paint's contrast, the part of the place that has all of
+/// it, and the deviations of the ground by which it stands out.
+fn paint_there(share: f64, painted: f64, contrast: f64) -> (Reason, String) {
+    let percent = 100.0 * share;
+    if contrast >= LEAST_CONTRAST && (share >= FULL || painted >= IN_PART) {
+        let what = format!(
+            "the marks' paint is there, {percent:.0} % of its contrast, but no whole mark: covered in part, cut, across a \
+             border of light or ground, or beside its surveyed place"
+        );
+        return (Reason::Hidden, what);
+    }
+    let what = format!("{percent:.0} % of the paint's contrast, {contrast:.1} times the scatter of the ground around");
+    (Reason::Faint, what)
 }
 
 /// The ground beside a mark that would lie there.
