@@ -6,7 +6,7 @@
 //! of paint in each pixel, in which texture is weakest; and a blurred shape is fitted to that picture ([`super::fit`]).
 //! The answer depends on nothing but the patch, so no tiling can change it.
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
 use super::Candidate;
 use super::even;
@@ -397,8 +397,12 @@ pub(super) fn candidate(
     }
     // What looks like one of a figure's two fields may be that, though too small or too worn to show it.
     if profile.examine.centre == CentreMode::Fit {
-        let at = PixelPoint { x: evidence.centre.0, y: evidence.centre.1 };
-        if let Some(open) = open_if_field(scene, at, evidence.area_px) {
+        let mark = Extent {
+            centre: PixelPoint { x: evidence.centre.0, y: evidence.centre.1 },
+            area_px: evidence.area_px,
+            size_px: [region.bounds.width as f64, region.bounds.height as f64],
+        };
+        if let Some(open) = middle_if_field(scene).and_then(|middle| open_if_field(scene, middle, &mark)) {
             evidence = widen(evidence, open);
         }
     }
@@ -414,16 +418,29 @@ pub(super) fn candidate(
     })
 }
 
-/// What is open about a centre where paint beside the scene's own makes this one of a figure's two fields, px²; `None`
-/// where it does not, or lies within the mark that was measured.
-pub(super) fn open_if_field(scene: &Scene<'_>, centre: PixelPoint, area_px: f64) -> Option<[f64; 3]> {
-    /// In a square no part's middle lies farther from the square's, as a share of its side.
-    const HALF_DIAGONAL: f64 = 0.6;
-    let to_middle = middle_if_field(scene)?;
+/// Where a mark that was measured lies, and how large it is: its area, and the sides of its bounds.
+pub(super) struct Extent {
+    pub centre: PixelPoint,
+    pub area_px: f64,
+    pub size_px: [f64; 2],
+}
+
+impl Extent {
+    fn holds(&self, x: f64, y: f64) -> bool {
+        /// In a square no part's middle lies farther from the square's, as a share of its side.
+        const HALF_DIAGONAL: f64 = 0.6;
+        let (dx, dy) = (x - self.centre.x, y - self.centre.y);
+        let [width, height] = self.size_px;
+        dx.hypot(dy) < HALF_DIAGONAL * self.area_px.sqrt() || 2.0 * dx.abs() < width && 2.0 * dy.abs() < height
+    }
+}
+
+/// What is open about a centre where the scene's own paint may be one of a figure's two fields, whose middle lies so far
+/// away, px²; `None` where the other field lies within the mark that was measured.
+pub(super) fn open_if_field(scene: &Scene<'_>, to_middle: Vector2<f64>, mark: &Extent) -> Option<[f64; 3]> {
     let ((x, y), window) = (middle(&scene.own, scene.width), &scene.patch.window);
     let other = (x + 0.5 + window.x as f64 + 2.0 * to_middle.x, y + 0.5 + window.y as f64 + 2.0 * to_middle.y);
-    let off = (other.0 - centre.x).hypot(other.1 - centre.y);
-    (off >= HALF_DIAGONAL * area_px.sqrt()).then(|| apart(to_middle.x, to_middle.y))
+    (!mark.holds(other.0, other.1)).then(|| apart(to_middle.x, to_middle.y))
 }
 
 /// The measurements behind [`examine`]; `None` when the region's paint is not in the patch or belongs to a mark that

@@ -204,15 +204,40 @@ fn other_fields(own: &PixelSet, other: &PixelSet, reach_px: usize, most_unlike: 
     fields
 }
 
+/// Of fields of a few pixels blur leaves more or less, and draws them further apart. Larger ones are as large as each
+/// other, and show their form: a number beside a mark is no field of it.
+const LARGE_PX: usize = 100;
+const LEAST_COMMON: f64 = 0.65;
+
 /// Where the middle of a figure lies, from that of the own paint, if this is one of its two fields: paint of about its
 /// size lies beside it, the largest such for the other, and of its form, when they are large enough to show one. In
 /// pixels to the right and down.
 pub(super) fn middle_if_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
-    /// Of fields of a few pixels blur leaves more or less, and draws them further apart. Larger ones are as large as
-    /// each other, and show their form: a number beside a mark is no field of it.
+    let fields = fields_beside(scene)?;
+    let other = fields.iter().max_by_key(|piece| piece.count())?;
+    // Of a cross in four bars two lie across.
+    if scene.own.count() < LARGE_PX || fields.len() > 1 {
+        return Some((centroid(other, scene.width) - centroid(&scene.own, scene.width)) / 2.0);
+    }
+    middle_if_alike(scene, other)
+}
+
+/// The same where the own paint is large enough to show its form, and just one other piece of paint has it.
+pub(super) fn middle_if_plain_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
+    let fields = (scene.own.count() >= LARGE_PX).then(|| fields_beside(scene)).flatten()?;
+    let [other] = &fields[..] else { return None };
+    middle_if_alike(scene, other)
+}
+
+fn middle_if_alike(scene: &Scene<'_>, other: &PixelSet) -> Option<Vector2<f64>> {
+    let apart = centroid(other, scene.width) - centroid(&scene.own, scene.width);
+    let (common, apart) = common_by_half_turn(scene, other, apart);
+    (common > LEAST_COMMON).then_some(apart / 2.0)
+}
+
+/// Paint of about the size of the own paint that lies beside it.
+fn fields_beside(scene: &Scene<'_>) -> Option<Vec<PixelSet>> {
     const MOST_UNLIKE_PART: f64 = 3.0;
-    const LARGE_PX: usize = 100;
-    const LEAST_COMMON: f64 = 0.65;
     const NEAR_PX: (f64, f64) = (4.0, 9.0);
     let reach = (scene.own.count() as f64).sqrt().clamp(NEAR_PX.0, NEAR_PX.1);
     if scene.other.and(&scene.own.grown(reach as usize)).is_empty() {
@@ -226,17 +251,8 @@ pub(super) fn middle_if_field(scene: &Scene<'_>) -> Option<Vector2<f64>> {
         scene.other.has(i) && (colour - paint).norm_squared() < (colour - ground).norm_squared()
     };
     let other = PixelSet::from_fn(scene.width, scene.height, is_paint);
-    let is_large = scene.own.count() >= LARGE_PX;
-    let most_unlike = if is_large { MOST_UNLIKE } else { MOST_UNLIKE_PART };
-    let fields = other_fields(&scene.own, &other, reach as usize, most_unlike);
-    let other = fields.iter().max_by_key(|piece| piece.count())?;
-    let apart = centroid(other, scene.width) - centroid(&scene.own, scene.width);
-    // Of a cross in four bars two lie across.
-    if !is_large || fields.len() > 1 {
-        return Some(apart / 2.0);
-    }
-    let (common, apart) = common_by_half_turn(scene, other, apart);
-    (common > LEAST_COMMON).then_some(apart / 2.0)
+    let most_unlike = if scene.own.count() >= LARGE_PX { MOST_UNLIKE } else { MOST_UNLIKE_PART };
+    Some(other_fields(&scene.own, &other, reach as usize, most_unlike))
 }
 
 /// The share of their pixels that the own paint and another set have in common, when half a turn lays one on the other,

@@ -46,7 +46,7 @@ impl Mark {
     /// Whether a whole mark of so many pixels stands before this one, which may be a part of it.
     fn gives_way_to(&self, area_px: f64) -> bool {
         /// A part is no larger a share of the whole.
-        const MOST_OF_WHOLE: f64 = 0.5;
+        const MOST_OF_WHOLE: f64 = 0.65;
         !self.is_whole && self.area_px <= MOST_OF_WHOLE * area_px
     }
 }
@@ -122,8 +122,10 @@ impl Standing {
         let mut part = Standing::default();
         part.add(std::iter::once(candidate));
         let (part, at) = (&part.marks[0], candidate.centre);
-        let mut marks = self.between(at.y - self.half_height, at.y + self.half_height);
-        marks.any(|mark| mark.is_whole && mark.holds(at) && part.gives_way_to(mark.area_px))
+        let reach = self.half_height.max(part.half[1]);
+        let mut marks = self.between(at.y - reach, at.y + reach);
+        let is_of = |mark: &Mark| mark.holds(at) || part.holds(mark.centre);
+        marks.any(|mark| mark.is_whole && is_of(mark) && part.gives_way_to(mark.area_px))
     }
 }
 

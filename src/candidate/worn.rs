@@ -8,8 +8,10 @@
 use nalgebra::Vector3;
 
 use super::Candidate;
-use super::examine::{Around, Evidence, Looks, candidate, figure_of, growth, near, open_if_field, settle, unfitted};
-use super::figure::Figure;
+use super::examine::{
+    Around, Evidence, Extent, Looks, candidate, figure_of, growth, near, open_if_field, settle, unfitted,
+};
+use super::figure::{Figure, middle_if_plain_field};
 use super::fit::Fit;
 use super::gates::{Gates, moments_rectangle};
 use super::local::Local;
@@ -18,8 +20,8 @@ use super::pixel_set::PixelSet;
 use super::scene::{OwnPaint, RING_PX, Scene};
 use super::split::region_of;
 use super::whole::{self, Whole};
-use crate::profile::Profile;
 use crate::profile::colour::lab_from_srgb;
+use crate::profile::{CentreMode, Profile};
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
 use autoref_raster::Pixels;
@@ -156,6 +158,9 @@ impl Worn {
     pub fn with_field_beside(&self, mut found: Candidate, region: &Region, pixels: &dyn Pixels) -> Candidate {
         /// The border of the candidate's own paint, which is worn paint by its colour.
         const BORDER_PX: usize = 2;
+        if self.profile.examine.centre != CentreMode::Fit {
+            return found;
+        }
         let (patch, area_px) = (near(pixels, region), found.area_px.unwrap_or(0.0));
         let (width, height) = (patch.window.width as usize, patch.window.height as usize);
         let (x, y) = (found.centre.x - patch.window.x as f64, found.centre.y - patch.window.y as f64);
@@ -171,8 +176,13 @@ impl Worn {
             return found;
         }
         let scene = Scene::of_pixels(&patch, own.clone(), &own.or(&paint.minus(&disc.grown(BORDER_PX))));
-        let open = open_if_field(&scene, found.centre, area_px);
-        if let (Some(covariance), Some(open)) = (&mut found.covariance_px2, open) {
+        let mark = Extent { centre: found.centre, area_px, size_px: found.size_px.unwrap_or_default() };
+        let trace = |covariance: &[f64; 3]| covariance[0] + covariance[2];
+        let open = middle_if_plain_field(&scene).and_then(|middle| open_if_field(&scene, middle, &mark));
+        if let (Some(covariance), Some(open)) = (&mut found.covariance_px2, open)
+            // Not again what its own mask has shown.
+            && 2.0 * trace(covariance) < trace(&open)
+        {
             covariance.iter_mut().zip(open).for_each(|(own, open)| *own += open);
         }
         found

@@ -129,10 +129,12 @@ impl Detector for PaintDetector {
         if !self.profile.examine.split || !self.filters.is_identity() {
             return self.examine(region, pixels).into_iter().collect();
         }
-        match &examine_parts(region, pixels, &self.classifier, &self.profile, &self.gates)[..] {
-            [found] => vec![self.with_field_beside(found.clone(), region, pixels)],
-            found => found.to_vec(),
+        let found = examine_parts(region, pixels, &self.classifier, &self.profile, &self.gates);
+        // Of several it is not known which pixels of the region are whose.
+        if found.len() != 1 {
+            return found;
         }
+        found.into_iter().map(|found| self.with_field_beside(found, region, pixels)).collect()
     }
 
     fn stricter(&self) -> Option<Box<dyn Detector>> {

@@ -150,10 +150,8 @@ pub fn reasons(
     sides.sort_by(f64::total_cmp);
     let side_px = sides.get(sides.len() / 2).copied().unwrap_or(10.0).clamp(4.0, 100.0);
     let least_area_px = least_whole_area_px(marks().map(|found| &found.mark));
-    let middle = match source {
-        Some(source) if !orientation.not_found.is_empty() => Middle::of(source, &places(marks()), side_px, paint)?,
-        _ => Middle::Painted,
-    };
+    // Asked for when the first picture is looked at.
+    let mut middle = None;
     let mut all = Vec::new();
     for &gcp in &orientation.not_found {
         let (name, at) = (gcps[gcp].name.clone(), expected(gcp));
@@ -191,11 +189,16 @@ pub fn reasons(
             continue;
         }
         let seen = match source {
-            Some(source) => Some(read_around(source, at, side_px)?),
+            Some(source) => {
+                if middle.is_none() {
+                    middle = Some(Middle::of(source, places(marks()), side_px, paint)?);
+                }
+                Some(read_around(source, at, side_px)?)
+            }
             None => None,
         };
         all.push(match seen {
-            Some(patch) => look(name, at, &patch, (side_px, middle), paint),
+            Some(patch) => look(name, at, &patch, (side_px, middle.unwrap_or(Middle::Painted)), paint),
             None => NotFound::new(name, Reason::Hidden, at, "no candidate lies there".into()),
         });
     }
@@ -226,10 +229,17 @@ enum Middle {
 
 impl Middle {
     /// Told by marks that were found, at most eight of them.
-    fn of(source: &dyn RasterSource, found: &[PixelPoint], side_px: f64, paint: Option<[u8; 3]>) -> Result<Middle> {
+    fn of(
+        source: &dyn RasterSource,
+        mut found: Vec<PixelPoint>,
+        side_px: f64,
+        paint: Option<[u8; 3]>,
+    ) -> Result<Middle> {
         const ENOUGH: usize = 8;
         let Some(paint) = paint else { return Ok(Middle::Painted) };
-        // Shares of paint by distance, a pixel each.
+        // Images that are decoded from the top down.
+        found.sort_by(|a, b| a.y.total_cmp(&b.y));
+        // Shares of paint by distance, a pixel each; the middle of some pixel lies in the first.
         let mut sums = vec![(0.0, 0.0); side_px.ceil() as usize + 1];
         for &at in found.iter().step_by(found.len().div_ceil(ENOUGH).max(1)) {
             let patch = read_around(source, at, side_px)?;
@@ -237,7 +247,7 @@ impl Middle {
             let (scale, width) = (255.0 / f64::from(patch.white), patch.window.width as usize);
             for i in (0..patch.rgb.len()).filter(|&i| patch.valid[i]) {
                 let far = distance_px(&patch, width, i, at);
-                if let Some(sum) = sums.get_mut(far.round() as usize) {
+                if let Some(sum) = sums.get_mut(far as usize) {
                     let colour = Vector3::from(patch.rgb[i].map(|v| f64::from(v) * scale));
                     *sum = (sum.0 + share_of(&ground, &colour, paint), sum.1 + 1.0);
                 }
@@ -258,7 +268,7 @@ impl Middle {
         let is_paint = |r: &usize| shares[*r] >= HALF * shares[peak];
         let from = (0..=peak).rev().take_while(is_paint).last().unwrap_or(peak);
         let to = (peak..shares.len()).take_while(is_paint).last().unwrap_or(peak);
-        Middle::Hollow { from_px: from as f64 - 0.5, to_px: to as f64 + 0.5 }
+        Middle::Hollow { from_px: from as f64, to_px: to as f64 + 1.0 }
     }
 
     /// Distances from the middle at which a mark of this side has its paint, pixels.
@@ -518,15 +528,15 @@ mod tests {
     #[test]
     fn rings_are_asked_for_their_paint_where_they_have_it() {
         let middle = Middle::by_shares(&[0.1, 0.1, 0.2, 0.8, 0.9, 0.7, 0.2, 0.0]);
-        assert_eq!(middle, Middle::Hollow { from_px: 2.5, to_px: 5.5 });
+        assert_eq!(middle, Middle::Hollow { from_px: 3.0, to_px: 6.0 });
         assert_eq!(Middle::by_shares(&[0.8, 0.9, 0.9, 0.5, 0.1]), Middle::Painted);
         assert_eq!(Middle::by_shares(&[]), Middle::Painted);
         let window = Window::new(0, 0, 60, 60);
         let far = |i: u64| ((i % 60) as f64 + 0.5 - 30.0).hypot((i / 60) as f64 + 0.5 - 30.0);
         // A green middle, and half of the ring.
         let colour = |i: u64| match far(i) {
-            r if r < 2.5 => [40, 160, 60],
-            r if r < 5.5 && i % 60 < 30 => [255, 110, 0],
+            r if r < 3.0 => [40, 160, 60],
+            r if r < 6.0 && i % 60 < 30 => [255, 110, 0],
             _ => [100; 3],
         };
         let patch = Patch { window, rgb: (0..3600).map(colour).collect(), valid: vec![true; 3600], white: 255 };

@@ -226,18 +226,15 @@ pub(super) fn refuse(input: &Path, survey: &Survey, format: ListFormat) -> Resul
 /// Names that the format cannot tell apart.
 fn refuse_one_name_of_two(input: &Path, survey: &Survey, format: ListFormat) -> Result<()> {
     let letters = if format == ListFormat::Kof { KOF_NAME } else { usize::MAX };
-    let mut written = std::collections::HashMap::new();
-    for point in &survey.points {
-        let name = &point.gcp.name;
-        let cut: String = names::held(format, name).chars().take(letters).collect();
-        if let Some(other) = written.insert(cut.clone(), name) {
-            let why = match format {
-                ListFormat::Kof => format!("KOF, which has {KOF_NAME} letters for a name"),
-                _ => format!("{}, which has no line ends or tabs in names", format.title()),
-            };
-            let what = format!("`{name}` and `{other}` are both `{cut}` in {why}; rename one");
-            return Err(Error::format(input, &point.place, what));
-        }
+    let names = survey.points.iter().map(|point| point.gcp.name.as_str());
+    if let Some((place, other, cut)) = names::one_of_two(format, letters, names) {
+        let point = &survey.points[place];
+        let why = match format {
+            ListFormat::Kof => format!("KOF, which has {KOF_NAME} letters for a name"),
+            _ => format!("{}, which has no line ends or tabs in names", format.title()),
+        };
+        let what = format!("`{}` and `{other}` are both `{cut}` in {why}; rename one", point.gcp.name);
+        return Err(Error::format(input, &point.place, what));
     }
     Ok(())
 }

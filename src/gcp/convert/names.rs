@@ -1,6 +1,7 @@
 //! Names as a format can hold them.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
 
 use super::{ListFormat, Survey};
 use crate::gcp::{Gcp, text};
@@ -41,6 +42,20 @@ pub(crate) fn held(format: ListFormat, name: &str) -> Cow<'_, str> {
         "" => Cow::Borrowed("_"),
         plain => Cow::Owned(plain.to_owned()),
     }
+}
+
+/// Two names that a format with so many letters for a name cannot tell apart: the place of the second, the first, and
+/// what both are.
+pub(crate) fn one_of_two<'n>(
+    format: ListFormat,
+    letters: usize,
+    names: impl Iterator<Item = &'n str>,
+) -> Option<(usize, &'n str, String)> {
+    let mut written = HashMap::new();
+    names.enumerate().find_map(|(place, name)| {
+        let cut: String = held(format, name).chars().take(letters).collect();
+        written.insert(cut.clone(), name).map(|other| (place, other, cut))
+    })
 }
 
 /// What of the names is lost, in plain words.

@@ -21,6 +21,7 @@ use crate::result::RunResult;
 use autoref_raster::coords::{GeoTransform, PixelPoint};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::words::counted;
 
 /// What was matched, ready for any dialect.
 #[derive(Clone, Debug, PartialEq)]
@@ -134,24 +135,54 @@ pub fn write(output: Output, paths: &[PathBuf], tie_points: &TiePoints) -> Resul
     }
 }
 
+/// The formats of a dialect's files, as `gcps convert` knows them; none of those that hold every name.
+fn formats(output: Output) -> &'static [ListFormat] {
+    match output {
+        Output::Points => &[ListFormat::Qgis],
+        Output::GcpList => &[ListFormat::Odm],
+        Output::Csv => &[ListFormat::Csv],
+        Output::MicMac => &[ListFormat::MicMac],
+        Output::Metashape => &[ListFormat::MetashapeCsv, ListFormat::MetashapeXml],
+        Output::Pix4d => &[ListFormat::Pix4d],
+        _ => &[],
+    }
+}
+
 /// What the points have and a dialect does not say, in plain words.
-pub fn lost(output: Output, tie_points: &TiePoints) -> Option<String> {
+pub fn lost(output: Output, tie_points: &TiePoints) -> Vec<String> {
+    let mut lost = Vec::new();
+    let is_changed = |gcp: &&Gcp| formats(output).iter().any(|format| names::held(*format, &gcp.name) != gcp.name);
+    let changed = tie_points.gcps().filter(is_changed).count();
+    if changed > 0 {
+        let names = counted(changed, "name", "names");
+        lost.push(format!("--write {output}: letters (line ends, tabs and the like) of {names} are written as blanks"));
+    }
     let has_some = tie_points.gcps().any(|gcp| gcp.sigma_m.is_some() || gcp.sigma_height_m.is_some());
-    let is_left_out = output == Output::Pix4d && has_some && !pix4d_has_accuracies(tie_points.gcps());
-    is_left_out.then(|| {
-        "Pix4D's list is written without accuracies: it can hold them only where every point has one of its place and \
-         one of its height (`sigma_m`, `sigma_height_m`)"
-            .into()
-    })
+    if output == Output::Pix4d && has_some && !pix4d_has_accuracies(tie_points.gcps()) {
+        lost.push(
+            "Pix4D's list is written without accuracies: it can hold them only where every point has one of its place \
+             and one of its height (`sigma_m`, `sigma_height_m`)"
+                .into(),
+        );
+    }
+    lost
 }
 
 /// Refuses, before any work, what a dialect cannot hold.
 ///
 /// # Errors
 /// When OpenDroneMap's list would lack a CRS or have an image name with blanks, at which it is cut; when a point
-/// without a height is to go where heights are demanded.
+/// without a height is to go where heights are demanded; when two names are one in a dialect.
 pub fn check(outputs: &[Output], image: &Path, crs: Option<&Crs>, gcps: &[Gcp]) -> Result<()> {
     for output in outputs {
+        let names = || gcps.iter().map(|gcp| gcp.name.as_str());
+        let one_of_two = |format: &ListFormat| names::one_of_two(*format, usize::MAX, names());
+        if let Some((place, other, held)) = formats(*output).iter().find_map(one_of_two) {
+            return Err(Error::usage(
+                format!("`{}` and `{other}` are both `{held}` in the files of --write {output}", gcps[place].name),
+                format!("rename one, or leave {output} out of --write"),
+            ));
+        }
         match output {
             Output::GcpList => {
                 gcp_list::header(crs)?;
@@ -238,6 +269,15 @@ mod tests {
     }
 
     #[test]
+    fn two_names_that_are_one_in_a_row_are_refused() {
+        let list = [Gcp::control("A\tB", 1.0, 2.0), Gcp::control("A B", 3.0, 4.0)];
+        let crs = Crs::from_epsg(25832).expect("UTM");
+        let checked = |output| check(&[output], Path::new("e6.tif"), Some(&crs), &list).map_err(|e| e.to_string());
+        assert!(checked(Output::GcpList).is_err_and(|said| said.contains("both `A B`")));
+        assert_eq!(checked(Output::GeoJson), Ok(()));
+    }
+
+    #[test]
     fn accuracies_that_pix4d_cannot_hold_are_said_to_be_lost() {
         let pair = |sigma_height_m| TiePoint {
             gcp: Gcp { sigma_m: Some(0.02), sigma_height_m, ..Gcp::control("A", 1.0, 2.0) },
@@ -247,9 +287,9 @@ mod tests {
         };
         let points =
             |pairs| TiePoints { image_name: "e6.tif".into(), image_size_px: None, crs: None, pairs, transform: None };
-        assert_eq!(lost(Output::Pix4d, &points(vec![pair(Some(0.05))])), None);
+        assert!(lost(Output::Pix4d, &points(vec![pair(Some(0.05))])).is_empty());
         let some = points(vec![pair(Some(0.05)), pair(None)]);
-        assert!(lost(Output::Pix4d, &some).is_some_and(|said| said.contains("sigma_height_m")));
-        assert_eq!(lost(Output::Metashape, &some), None);
+        assert!(lost(Output::Pix4d, &some)[0].contains("sigma_height_m"));
+        assert!(lost(Output::Metashape, &some).is_empty());
     }
 }

@@ -14,42 +14,29 @@ enum Needs {
     NoWord(&'static str, &'static [&'static str]),
 }
 
-/// An option, by its name as an identifier; a command that lacks either option has no such rule.
-const RULES: [(&str, Needs); 10] = [
-    ("tpp_radius", Needs::Word("matcher", "tpp")),
-    ("tpp_angle", Needs::Word("matcher", "tpp")),
-    ("tpp_minimum", Needs::Word("matcher", "tpp")),
-    ("tpp_least", Needs::Word("matcher", "tpp")),
-    ("tpp_anchor", Needs::Word("matcher", "tpp")),
-    ("tpp_random", Needs::Word("matcher", "tpp")),
+/// An option, by its name as an identifier. Every command that has an option of a `Given` or `NoWord` rule has the
+/// other; of a `Word` rule only those where the other has a word.
+const RULES: [(&str, Needs); 4] = [
     ("reproject", Needs::Given("to_crs")),
     ("angles", Needs::Given("cameras")),
     ("blend", Needs::NoWord("choose", &["median", "feather"])),
     ("choose", Needs::NoWord("use_index", &[])),
 ];
+/// What the options need whose names begin so.
+const TOPOLOGICAL: (&str, Needs) = ("tpp_", Needs::Word("matcher", "tpp"));
 
 /// Refuses an option that has no effect.
 ///
 /// # Errors
 /// [`Error::Usage`] naming it and what it needs.
 pub fn refuse(matches: &ArgMatches) -> Result<(), Error> {
-    for (option, needs) in &RULES {
-        let (other, missing) = match needs {
-            Needs::Given(other) => (other, !is_given(matches, other)),
-            Needs::Word(other, word) => (other, !is_word(matches, other, &[word])),
-            Needs::NoWord(other, []) => (other, is_given(matches, other)),
-            Needs::NoWord(other, words) => (other, is_word(matches, other, words)),
-        };
-        if missing && is_given(matches, option) && matches.try_contains_id(other).is_ok() {
-            let (option, other) = (option.replace('_', "-"), other.replace('_', "-"));
-            let (what, remedy) = match needs {
-                Needs::Given(_) => ("is not given".into(), format!("give --{other}")),
-                Needs::Word(_, word) => (format!("is not {word}"), format!("give --{other} {word}")),
-                Needs::NoWord(_, []) => ("is given".into(), format!("leave out --{other}")),
-                Needs::NoWord(_, words) => (format!("is {}", words.join(" or ")), format!("choose another --{other}")),
-            };
+    for option in matches.ids().map(clap::Id::as_str).filter(|option| is_given(matches, option)) {
+        let named = RULES.iter().find(|(name, _)| *name == option).map(|(_, needs)| needs);
+        let needs = named.or(option.starts_with(TOPOLOGICAL.0).then_some(&TOPOLOGICAL.1));
+        if let Some((what, remedy)) = needs.and_then(|needs| missing(matches, needs)) {
+            let option = option.replace('_', "-");
             return Err(Error::usage(
-                format!("--{option} has no effect where --{other} {what}"),
+                format!("--{option} has no effect where {what}"),
                 format!("{remedy}, or leave out --{option}"),
             ));
         }
@@ -57,13 +44,40 @@ pub fn refuse(matches: &ArgMatches) -> Result<(), Error> {
     matches.subcommand().map_or(Ok(()), |(_, inner)| refuse(inner))
 }
 
+/// What is the matter, and what helps; `None` where nothing is.
+fn missing(matches: &ArgMatches, needs: &Needs) -> Option<(String, String)> {
+    match needs {
+        Needs::Given(other) if !is_given(matches, other) => {
+            let other = other.replace('_', "-");
+            Some((format!("--{other} is not given"), format!("give --{other}")))
+        }
+        Needs::Word(other, word) if has(matches, other) && !is_word(matches, other, &[word]) => {
+            Some((format!("--{other} is not {word}"), format!("give --{other} {word}")))
+        }
+        Needs::NoWord(other, []) if is_given(matches, other) => {
+            let other = other.replace('_', "-");
+            Some((format!("--{other} is given"), format!("leave out --{other}")))
+        }
+        Needs::NoWord(other, words) if is_word(matches, other, words) => {
+            Some((format!("--{other} is {}", words.join(" or ")), format!("choose another --{other}")))
+        }
+        _ => None,
+    }
+}
+
+/// Whether an option has a value, its default perhaps. Clap answers questions about names that a command lacks in debug
+/// builds only.
+fn has(matches: &ArgMatches, option: &str) -> bool {
+    matches.ids().any(|id| id == option)
+}
+
 fn is_given(matches: &ArgMatches, option: &str) -> bool {
-    matches.try_contains_id(option).is_ok() && matches.value_source(option) == Some(ValueSource::CommandLine)
+    has(matches, option) && matches.value_source(option) == Some(ValueSource::CommandLine)
 }
 
 fn is_word(matches: &ArgMatches, option: &str, words: &[&str]) -> bool {
-    let Ok(Some(mut values)) = matches.try_get_raw(option) else { return false };
-    values.any(|value| words.iter().any(|word| value == *word))
+    let values = has(matches, option).then(|| matches.get_raw(option)).flatten();
+    values.is_some_and(|mut values| values.any(|value| words.iter().any(|word| value == *word)))
 }
 
 #[cfg(test)]
@@ -80,6 +94,7 @@ mod tests {
         };
         for (words, option) in [
             ("a.tif|--gcps|b.csv|--tpp-radius|0.1", "--tpp-radius has no effect where --matcher is not tpp"),
+            ("a.tif|--gcps|b.csv|--tpp-distance|3", "--tpp-distance has no effect where --matcher is not tpp"),
             ("a.tif|--gcps|b.csv|--reproject|after", "--reproject has no effect where --to-crs is not given"),
             ("mosaic|a.tif|-o|b.tif|--choose|median|--blend|5", "--blend has no effect where --choose is median"),
             (
@@ -95,20 +110,26 @@ mod tests {
             "a.tif|--gcps|b.csv|--reproject|after|--to-crs|EPSG:25833",
             "mosaic|a.tif|-o|b.tif|--blend|5",
             "mosaic|a.tif|-o|b.tif|--use-index|c.tif",
+            // Another command, without --matcher.
+            "patterns|c.csv|--gcps|b.csv|--tpp-radius|0.1",
         ] {
             assert_eq!(said(words), Ok(()), "{words}");
         }
     }
 
     #[test]
-    fn every_rule_belongs_to_a_command() {
-        fn has(command: &clap::Command, option: &str) -> bool {
-            command.get_arguments().any(|arg| arg.get_id() == option)
-                || command.get_subcommands().any(|inner| has(inner, option))
+    fn commands_with_an_option_have_what_it_needs() {
+        fn look(command: &clap::Command, found: &mut Vec<&'static str>) {
+            let has = |option: &str| command.get_arguments().any(|arg| arg.get_id() == option);
+            for (option, needs) in RULES.iter().filter(|(option, _)| has(option)) {
+                let (Needs::Given(other) | Needs::Word(other, _) | Needs::NoWord(other, _)) = needs;
+                assert!(has(other), "{}: {option}, {other}", command.get_name());
+                found.push(option);
+            }
+            command.get_subcommands().for_each(|inner| look(inner, found));
         }
-        for (option, needs) in &RULES {
-            let (Needs::Given(other) | Needs::Word(other, _) | Needs::NoWord(other, _)) = needs;
-            assert!(has(&command(), option) && has(&command(), other), "{option}, {other}");
-        }
+        let mut found = Vec::new();
+        look(&command(), &mut found);
+        assert!(RULES.iter().all(|(option, _)| found.contains(option)), "{found:?}");
     }
 }
