@@ -435,8 +435,8 @@ impl Extent {
     }
 }
 
-/// What is open about a centre where the scene's own paint may be one of a figure's two fields, whose middle lies so far
-/// away, px²; `None` where the other field lies within the mark that was measured.
+/// What is open about a centre where the scene's own paint may be one of a figure's two fields, whose middle lies so
+/// far away, px²; `None` where the other field lies within the mark that was measured.
 pub(super) fn open_if_field(scene: &Scene<'_>, to_middle: Vector2<f64>, mark: &Extent) -> Option<[f64; 3]> {
     let ((x, y), window) = (middle(&scene.own, scene.width), &scene.patch.window);
     let other = (x + 0.5 + window.x as f64 + 2.0 * to_middle.x, y + 0.5 + window.y as f64 + 2.0 * to_middle.y);

@@ -153,8 +153,8 @@ impl Worn {
         candidate(evidence, &scene, region, &self.classifier, &self.profile, &self.gates)
     }
 
-    /// A candidate of the paint that is not worn, with what is open about its centre where worn paint beside it makes it
-    /// one of a figure's two fields: the other lies on brighter ground, that shines through.
+    /// A candidate of the paint that is not worn, with what is open about its centre where worn paint beside it makes
+    /// it one of a figure's two fields: the other lies on brighter ground, that shines through.
     pub fn with_field_beside(&self, mut found: Candidate, region: &Region, pixels: &dyn Pixels) -> Candidate {
         /// The border of the candidate's own paint, which is worn paint by its colour.
         const BORDER_PX: usize = 2;

@@ -39,8 +39,8 @@ const GUIDED_FIRST: usize = 2000;
 const GUIDED_STEP: usize = 4;
 /// One part in so many of the budget of hypotheses for each search among fewer than all, and for patterns that grow.
 const EARLY_SHARE: u64 = 8;
-/// A list that repeats itself is hardly ever believed, a hypothesis about a long list costs more than it is charged, and
-/// with a known scale it takes few looks: they get so many percent of the budget.
+/// A list that repeats itself is hardly ever believed, a hypothesis about a long list costs more than it is charged,
+/// and with a known scale it takes few looks: they get so many percent of the budget.
 const REPEATED_PERCENT: u64 = 20;
 const LONG_PERCENT: u64 = 70;
 const LONG_OF_SCALE_PERCENT: u64 = 50;

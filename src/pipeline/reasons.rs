@@ -405,8 +405,8 @@ fn look(
     NotFound { contrast: Some(contrast), colour: Some(hex), ..NotFound::new(name, reason, at, detail) }
 }
 
-/// What is said where the marks' paint is seen: its share of the paint's contrast, the part of the place that has all of
-/// it, and the deviations of the ground by which it stands out.
+/// What is said where the marks' paint is seen: its share of the paint's contrast, the part of the place that has all
+/// of it, and the deviations of the ground by which it stands out.
 fn paint_there(share: f64, painted: f64, contrast: f64) -> (Reason, String) {
     let percent = 100.0 * share;
     if contrast >= LEAST_CONTRAST && (share >= FULL || painted >= IN_PART) {
