@@ -298,8 +298,12 @@ impl Fill<'_> {
         match verdict {
             Verdict::Ground => {}
             Verdict::Paint => {
-                (0..side * side * side)
-                    .for_each(|i| self.set([r + i / (side * side), g + i / side % side, b + i % side]));
+                // A row of blues lies in one word: sides are powers of two up to 16, and cubes begin at multiples.
+                let row = (u64::MAX >> (64 - side)) << (b & 63);
+                for (r, g) in (r..r + side).flat_map(|r| (g..g + side).map(move |g| (r, g))) {
+                    let word = self.word([r, g, b]);
+                    self.words[word] |= row;
+                }
                 // Samples and their differences are extreme at corners.
                 let far = |corner: usize, axis: usize| if corner >> axis & 1 == 1 { (side - 1) as u8 } else { 0 };
                 (0..8).for_each(|k| self.bounds.admit(std::array::from_fn(|axis| low[axis] + far(k, axis))));
@@ -319,9 +323,14 @@ impl Fill<'_> {
         }
     }
 
-    fn set(&mut self, [r, g, b]: [usize; 3]) {
-        let index = (r - self.red) << 16 | g << 8 | b;
-        self.words[index >> 6] |= 1 << (index & 63);
+    fn set(&mut self, colour: [usize; 3]) {
+        let word = self.word(colour);
+        self.words[word] |= 1 << (colour[2] & 63);
+    }
+
+    /// Which word holds the bit of a colour.
+    fn word(&self, [r, g, b]: [usize; 3]) -> usize {
+        ((r - self.red) << 16 | g << 8 | b) >> 6
     }
 }
 

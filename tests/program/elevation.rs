@@ -109,6 +109,9 @@ fn flat_ground_is_refused_and_bad_input_named() {
     let (flat, hilly, out) = (folder.at("flat.tif"), folder.at("b.tif"), folder.at("out.tif"));
     write(&flat, CORNER, (80, 80), |_, _| 7.0);
     write(&hilly, CORNER, (80, 80), hills);
+    let quiet = autoref(&["dem", "align", text(&flat), "--to", text(&hilly), "-o", text(&out), "--quiet"]);
+    assert!(quiet.status.code() == Some(1) && quiet.stdout.is_empty(), "{quiet:?}");
+    assert!(String::from_utf8_lossy(&quiet.stderr).contains("not aligned"), "{quiet:?}");
     let output = autoref(&["dem", "align", text(&flat), "--to", text(&hilly), "-o", text(&out), "--json"]);
     assert_eq!(output.status.code(), Some(1));
     assert!(!out.exists());

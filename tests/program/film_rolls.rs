@@ -148,10 +148,10 @@ fn a_frame_unlike_its_roll_is_doubtful_and_says_why() {
     let folder = tempfile::tempdir().expect("a folder");
     let (scans, out) = (folder.path().join("scans"), folder.path().join("out"));
     let camera = "svalbard-zeiss-1936";
-    draw(&scans, camera, &["--pixel-um", "60", "--frames", "7"]);
-    draw(&scans, camera, &["--pixel-um", "61.5", "--seed", "8"]);
-    draw(&scans, camera, &["--pixel-um", "60", "--seed", "9", "--mirrored"]);
-    draw(&scans, camera, &["--pixel-um", "60", "--seed", "10", "--quarters", "2"]);
+    draw(&scans, camera, &["--pixel-um", "80", "--frames", "7"]);
+    draw(&scans, camera, &["--pixel-um", "82", "--seed", "8"]);
+    draw(&scans, camera, &["--pixel-um", "80", "--seed", "9", "--mirrored"]);
+    draw(&scans, camera, &["--pixel-um", "80", "--seed", "10", "--quarters", "2"]);
     let text = said(&examine(std::slice::from_ref(&scans), &out, camera, &[]).code(1));
     assert!(text.contains("10 frames: 7 OK, 3 doubtful, 0 failed"), "{text}");
     for (k, why) in
@@ -376,7 +376,7 @@ fn clicks_beside_marks_teach_a_camera() {
     for (camera, offset_mm, marks) in [("side-notch", "0,0", 4), ("wild-15-4", "4.2,0", 7)] {
         let folder = tempfile::tempdir().expect("a folder");
         let [scans, taught, out] = ["scans", "taught", "out"].map(|name| folder.path().join(name));
-        draw(&scans, camera, &["--pixel-um", "60", "--frames", "2", "--offset-mm", offset_mm]);
+        draw(&scans, camera, &["--pixel-um", "75", "--frames", "2", "--offset-mm", offset_mm]);
         let clicks = clicks_beside(&scans, &format!("{camera}-1"));
         let mut how: Vec<&str> = clicks.iter().map(String::as_str).collect();
         how.extend(["--learn", "--window-mm", "5,5"]);

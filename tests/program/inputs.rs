@@ -300,3 +300,31 @@ fn what_an_input_refers_to_is_never_written_over() {
     let made = program(dir, &["mosaic", "v.vrt", "-o", "first.tif", "--overwrite"]);
     assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
 }
+
+/// What was asked for and would not be done is said before any work.
+#[test]
+fn options_without_effect_are_refused() {
+    let folder = workplace();
+    std::fs::write(folder.path().join("k.xyz"), "x y z\n0 0 1\n1 1 2\n2 2 3\n").expect("writable");
+    let job = "a.tif --gcps a.geojson --out o --no-report";
+    let before = contents(folder.path());
+    for (line, words) in [
+        (format!("{job} --quality 50"), "--quality belongs to --write warp"),
+        (format!("{job} --write world --resolution 2"), "--resolution belongs to --write warp"),
+        (format!("{job} --break-cog"), "--break-cog belongs to --write tags"),
+        (
+            "cloud grid k.xyz --out o --fill 0 --power 2".into(),
+            "--power has no effect: no --stat is idw, and holes are not",
+        ),
+        ("cloud grid k.xyz --out o --like-pdal --power 2".into(), "--power has no effect"),
+    ] {
+        let run = program(folder.path(), &line.split(' ').collect::<Vec<_>>());
+        let said = String::from_utf8_lossy(&run.stderr);
+        assert!(run.status.code() == Some(2) && said.contains(words), "{line}: {said}");
+        assert!(contents(folder.path()) == before && files_below(&folder.path().join("o")).is_empty(), "{line}");
+    }
+    for line in [&format!("{job} --write warp --quality 50 --compress jpeg"), "cloud grid k.xyz --out g --power 2"] {
+        let run = program(folder.path(), &line.split(' ').collect::<Vec<_>>());
+        assert!(run.status.success(), "{line}: {}", String::from_utf8_lossy(&run.stderr));
+    }
+}

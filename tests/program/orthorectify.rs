@@ -162,6 +162,9 @@ fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
     expect(&run(&dem, "x.tif", &["--gsd", "0"]).0, 2, &["--gsd"]);
     expect(&run(&dem, "x.tif", &["--gsd", "100000"]).0, 1, &["no pixel", "--gsd"]);
     expect(&run(&dem, "x.tif", &["--shift", "1e20,0,0"]).0, 2, &["--shift 1e20,0,0"]);
+    for more in [["--camera", "camera.toml"], ["--angles", "aircraft"]] {
+        expect(&run(&dem, "x.tif", &more).0, 2, &[more[0], "is of a camera table", "cameras.json"]);
+    }
     let other = place.at("frames").join("q.png");
     std::fs::copy(&frame, &other).expect("copied");
     let x = place.at("x.tif");

@@ -106,21 +106,23 @@ impl Field {
     }
 
     /// Least or greatest over windows of (2r + 1)².
-    fn extreme(&self, values: &[u8], r: usize, pick: fn(u8, u8) -> u8) -> Vec<u8> {
+    fn extreme(&self, values: &[u8], r: usize, pick: impl Fn(u8, u8) -> u8 + Copy) -> Vec<u8> {
         let (w, h) = (self.width, self.height);
         let mut across = values.to_vec();
-        let mut line = vec![0; w];
+        let mut lines = [vec![0; w], vec![0; w]];
         for row in across.chunks_exact_mut(w) {
-            doubled(row, r, pick, &mut line);
+            doubled(row, r, pick, &mut lines);
         }
         // The same down the columns, whole rows at a time.
         let mut have = 1;
         let mut down = across;
         while have < 2 * r + 1 {
             let step = have.min(2 * r + 1 - have);
-            let (moved, len) = (step * w, w * h);
-            for i in 0..len - moved {
-                down[i] = pick(down[i], down[i + moved]);
+            let moved = step * w;
+            // As many rows at a time as they are moved by: those that are written and those that are read lie apart.
+            for from in (0..(h - step) * w).step_by(moved) {
+                let (written, read) = down[from..].split_at_mut(moved);
+                written.iter_mut().zip(read).for_each(|(a, b)| *a = pick(*a, *b));
             }
             have += step;
         }
@@ -133,14 +135,14 @@ impl Field {
 }
 
 /// `row[x]` becomes the extreme of `row[x - r ..= x + r]`, for x at least r from both ends.
-fn doubled(row: &mut [u8], r: usize, pick: fn(u8, u8) -> u8, line: &mut [u8]) {
+fn doubled(row: &mut [u8], r: usize, pick: impl Fn(u8, u8) -> u8, [line, next]: &mut [Vec<u8>; 2]) {
     line.copy_from_slice(row);
     let mut have = 1;
     while have < 2 * r + 1 {
         let step = have.min(2 * r + 1 - have);
-        for x in 0..line.len() - step {
-            line[x] = pick(line[x], line[x + step]);
-        }
+        next.copy_from_slice(line);
+        next.iter_mut().zip(&line[step..]).for_each(|(a, b)| *a = pick(*a, *b));
+        std::mem::swap(line, next);
         have += step;
     }
     let end = row.len() - r;

@@ -62,6 +62,7 @@ impl<const N: usize> Forest<N> {
         if keeps == 0 || keeps == examples.len() {
             return None;
         }
+        let columns = Columns::of(examples);
         let tree = |seed: usize| {
             let mut draws = SplitMix64(seed as u64 + 1);
             // Each example as often as it is drawn, times its weight.
@@ -69,14 +70,15 @@ impl<const N: usize> Forest<N> {
             for _ in 0..examples.len() {
                 drawn[below(&mut draws, examples.len())] += 1;
             }
-            let mut rows: Vec<(u32, u32)> = drawn
+            let mut rows: Vec<Row> = drawn
                 .iter()
+                .zip(examples)
                 .enumerate()
-                .filter(|(_, times)| **times > 0)
-                .map(|(i, times)| (i as u32, times * examples[i].weight))
+                .filter(|(_, (times, _))| **times > 0)
+                .map(|(i, (times, e))| Row { example: i as u32, weight: times * e.weight, keep: e.keep })
                 .collect();
             let mut nodes = vec![Node { feature: 0, limit: 0, leaf: true, next: 0 }];
-            split(examples, &mut rows, 0, growth.depth, growth, &mut draws, &mut nodes);
+            split(&columns, &mut rows, 0, growth.depth, growth, &mut draws, &mut nodes);
             Tree(nodes)
         };
         Some(Forest { trees: (0..growth.trees).into_par_iter().map(tree).collect() })
@@ -101,40 +103,53 @@ impl Tree {
     }
 }
 
+/// The examples feature by feature: a node looks at few features of many examples.
+struct Columns<const N: usize>([Vec<u8>; N]);
+
+impl<const N: usize> Columns<N> {
+    fn of(examples: &[Example<N>]) -> Self {
+        Columns(std::array::from_fn(|feature| examples.iter().map(|example| example.features[feature]).collect()))
+    }
+}
+
+/// An example that a tree was given, its weight times how often it was drawn.
+#[derive(Clone, Copy)]
+struct Row {
+    example: u32,
+    weight: u32,
+    keep: bool,
+}
+
 fn split<const N: usize>(
-    examples: &[Example<N>],
-    rows: &mut [(u32, u32)],
+    columns: &Columns<N>,
+    rows: &mut [Row],
     at: usize,
     depth: usize,
     growth: Growth,
     draws: &mut SplitMix64,
     nodes: &mut Vec<Node>,
 ) {
-    let weight = |rows: &[(u32, u32)]| {
-        rows.iter().fold([0u64; 2], |mut sums, &(i, w)| {
-            sums[usize::from(examples[i as usize].keep)] += u64::from(w);
-            sums
-        })
-    };
-    let all = weight(rows);
+    let mut all = [0u64; 2];
+    rows.iter().for_each(|row| all[usize::from(row.keep)] += u64::from(row.weight));
     let total = all[0] + all[1];
     let best = if depth == 0 || all[0] == 0 || all[1] == 0 || rows.len() < 2 * growth.leaf {
         None
     } else {
-        best_split(examples, rows, all, growth, draws)
+        best_split(columns, rows, all, growth, draws)
     };
     let Some((feature, limit)) = best else {
         nodes[at] = Node { feature: 0, limit: 0, leaf: true, next: (all[1] * 65_535 / total.max(1)) as u32 };
         return;
     };
-    let left = partition(rows, |&(i, _)| examples[i as usize].features[feature] <= limit);
+    let column = &columns.0[feature];
+    let left = partition(rows, |row| column[row.example as usize] <= limit);
     let next = nodes.len();
     nodes[at] = Node { feature: feature as u16, limit, leaf: false, next: next as u32 };
     let empty = Node { feature: 0, limit: 0, leaf: true, next: 0 };
     nodes.extend([empty, empty]);
     let (low, high) = rows.split_at_mut(left);
-    split(examples, low, next, depth - 1, growth, draws, nodes);
-    split(examples, high, next + 1, depth - 1, growth, draws, nodes);
+    split(columns, low, next, depth - 1, growth, draws, nodes);
+    split(columns, high, next + 1, depth - 1, growth, draws, nodes);
 }
 
 /// Those that `goes_left` come first, in their order; how many they are.
@@ -146,8 +161,8 @@ fn partition<T: Copy>(rows: &mut [T], goes_left: impl Fn(&T) -> bool) -> usize {
 }
 
 fn best_split<const N: usize>(
-    examples: &[Example<N>],
-    rows: &[(u32, u32)],
+    columns: &Columns<N>,
+    rows: &[Row],
     all: [u64; 2],
     growth: Growth,
     draws: &mut SplitMix64,
@@ -158,10 +173,10 @@ fn best_split<const N: usize>(
         order.swap(tried, tried + below(draws, N - tried));
         let feature = order[tried];
         let (mut weights, mut counts) = ([[0u64; 2]; 256], [0usize; 256]);
-        for &(i, weight) in rows {
-            let example = &examples[i as usize];
-            let value = usize::from(example.features[feature]);
-            weights[value][usize::from(example.keep)] += u64::from(weight);
+        let column = &columns.0[feature];
+        for row in rows {
+            let value = usize::from(column[row.example as usize]);
+            weights[value][usize::from(row.keep)] += u64::from(row.weight);
             counts[value] += 1;
         }
         let (mut low, mut count) = ([0u64; 2], 0);

@@ -55,10 +55,10 @@ fn grounds(first: u64) -> Vec<(&'static str, FilmGround, Vec<u64>)> {
 
 fn grey16(seed: u64) -> (FilmSpec, ResampleOptions) {
     let camera = load_camera("rmk-cross").expect("built in");
-    let mut spec = FilmSpec::plain(&camera, 100.0, seed);
+    let mut spec = FilmSpec::plain(&camera, 140.0, seed);
     (spec.bits, spec.noise, spec.vignette) = (16, 0.004, 0.0);
     let options = ResampleOptions {
-        pixel_mm: 0.1,
+        pixel_mm: 0.14,
         kernel: Kernel::Cubic,
         mask_radius_mm: 3.0,
         boxes_mm: vec![],

@@ -45,9 +45,9 @@ pub struct GridArgs {
     /// PDAL's window_size); 0 fills none.
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(0..=201))]
     fill: u16,
-    /// Exponent of the inverse distance, in idw and when holes are filled.
-    #[arg(long, value_name = "P", default_value_t = 1.0)]
-    power: f64,
+    /// Exponent of the inverse distance, in idw and when holes are filled. Default: 1.
+    #[arg(long, value_name = "P")]
+    power: Option<f64>,
     /// Begin the cells at the cloud's least x and y, fill with PDAL's weights, take every class.
     #[arg(long)]
     like_pdal: bool,
@@ -101,6 +101,27 @@ impl GridArgs {
     }
 }
 
+/// Inverse distances without a power.
+const PLAIN_POWER: f64 = 1.0;
+
+impl GridArgs {
+    /// The power of inverse distances; an error where it would change nothing.
+    fn power_for(&self, stats: &[(String, Stat)]) -> anyhow::Result<f64> {
+        let Some(power) = self.power else { return Ok(PLAIN_POWER) };
+        if !(power > 0.0 && power <= 10.0) {
+            bail!("--power: {power} is not above 0 and at most 10; 1 to 3 are usual");
+        }
+        let fills_by_it = self.fill > 0 && !self.like_pdal;
+        if !fills_by_it && stats.iter().all(|(_, stat)| *stat != Stat::Idw) {
+            bail!(
+                "--power has no effect: no --stat is idw, and holes are {}; add idw to --stat, or leave --power out",
+                if self.fill == 0 { "not filled" } else { "filled with PDAL's weights" }
+            );
+        }
+        Ok(power)
+    }
+}
+
 /// Coordinates of maps have no finer digits.
 const LEAST_CELL: f64 = 1e-9;
 
@@ -112,9 +133,6 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
             args.cell
         );
     }
-    if !(args.power > 0.0 && args.power <= 10.0) {
-        bail!("--power: {} is not above 0 and at most 10; 1 to 3 are usual", args.power);
-    }
     let mut stats = Vec::new();
     for name in &args.stat {
         let name = name.trim().to_ascii_lowercase();
@@ -124,6 +142,7 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
         let stat = Stat::read(&name)?;
         stats.push((name, stat));
     }
+    let power = args.power_for(&stats)?;
     let cameras = args.range_from.as_deref().map(Cameras::read).transpose()?;
     let dimensions = args.dimensions()?;
     let crs_wkt = args.means.begin(&args.clouds)?.asked.map(|crs| crs.wkt().to_string());
@@ -134,7 +153,7 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
         stats,
         dimensions,
         fill_cells: if fill % 2 == 1 { fill / 2 } else { fill },
-        power: args.power,
+        power,
         manner: if args.like_pdal { Manner::Pdal } else { Manner::Snapped },
         noise: if args.like_pdal || args.keep_noise { Noise::Keep } else { Noise::LeaveOut },
         shift: args.means.shift()?,

@@ -11,7 +11,7 @@ use autoref_raster::memory_plan;
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::dialects;
 use autoref_stream::georef::write::{Output, WriteRequest};
-use autoref_stream::matching::{Priors, RobustMatcher, TimeLimit};
+use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::colour_search::{ColourSearch, MOST_CLUSTERS, colour_search};
 use autoref_stream::pipeline::georeference::{Job, Orientation, Outcome, Refine, Run, georeference};
@@ -157,22 +157,12 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = prepare::priors(info, &args.matching);
-    // Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident.
-    // The first look has half of what is allowed, the second a quarter, all clusters of colour together the last. Later
-    // looks match the strongest candidates only: of the work each may do a quarter of what the first may, of a long
-    // list, whose hypotheses cost more, an eighth.
     let learns = matches!(detector, MarkDetector::Paint(_))
         && args.second_pass != SecondPassArg::Never
         && args.refine == RefineArg::Always;
     let time_limit = args.matching.limit();
-    let own = prepare::own_handedness(info, &args.matching);
-    let matcher_of = |chances: usize, part: u64| {
-        let shared = Shared { chances: priors.len() * chances, part };
-        prepare::matcher(&args.matching, own, shared, &time_limit)
-    };
-    let later = RobustMatcher::later_part(list.gcps.len());
-    let (matcher, learned_matcher) = (matcher_of(if learns { 2 } else { 1 }, 1)?, matcher_of(4, later)?);
-    let cluster_matcher = matcher_of(4 * MOST_CLUSTERS, later * MOST_CLUSTERS as u64)?;
+    let looks = if learns { Looks::WithOtherColours } else { Looks::One };
+    let matchers = Matchers::of(&args.matching, info, priors.len(), list.gcps.len(), looks, &time_limit)?;
     let bar = Bar::new(info, args.quiet || args.json);
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();
@@ -182,15 +172,15 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         detector: detector.as_detector(),
         refiner: refiner.as_detector(),
         gcps: &list.gcps,
-        matcher: matcher.as_ref(),
+        matcher: matchers.first.as_ref(),
         priors: &priors,
         progress: &watch,
         refine: args.refine.choice(),
     };
     let mut looked = Looked { run: georeference(&job)?, second: None, colours: None };
     if learns {
-        let learned = Job { matcher: learned_matcher.as_ref(), ..job };
-        let in_any_hue = Job { matcher: cluster_matcher.as_ref(), ..job };
+        let learned = Job { matcher: matchers.learned.as_ref(), ..job };
+        let in_any_hue = Job { matcher: matchers.in_any_hue.as_ref(), ..job };
         looked = looked.again(args.second_pass, &learned, &in_any_hue)?;
     }
     let Looked { mut run, second, colours } = looked;
@@ -220,6 +210,42 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json, dem)?;
     print(&document.result, Printing { json: args.json, quiet: args.quiet });
     Ok(document.exit_code())
+}
+
+/// How often a run may look at the image.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Looks {
+    One,
+    /// Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident.
+    WithOtherColours,
+}
+
+/// A matcher for each look. The first has half of the false alarms that are allowed, the second a quarter, all clusters
+/// of colour together the last. Later looks match the strongest candidates only: of the work each may do a quarter of
+/// what the first may, of a long list, whose hypotheses cost more, an eighth.
+struct Matchers {
+    first: Box<dyn Matcher>,
+    learned: Box<dyn Matcher>,
+    in_any_hue: Box<dyn Matcher>,
+}
+
+impl Matchers {
+    fn of(
+        matching: &MatchArgs,
+        info: &RasterInfo,
+        priors: usize,
+        gcps: usize,
+        looks: Looks,
+        time_limit: &TimeLimit,
+    ) -> anyhow::Result<Matchers> {
+        let own = prepare::own_handedness(info, matching);
+        let of =
+            |chances, part| prepare::matcher(matching, own, Shared { chances: priors * chances, part }, time_limit);
+        let later = RobustMatcher::later_part(gcps);
+        let first = of(if looks == Looks::One { 1 } else { 2 }, 1)?;
+        let in_any_hue = of(4 * MOST_CLUSTERS, later * MOST_CLUSTERS as u64)?;
+        Ok(Matchers { first, learned: of(4, later)?, in_any_hue })
+    }
 }
 
 /// Looks for gross errors of the list.

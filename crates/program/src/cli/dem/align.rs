@@ -14,6 +14,7 @@ use serde_json::{Map, Value, json};
 
 use super::ResourceArgs;
 use crate::cli::values::unsigned_zero;
+use crate::out::{self, Stream};
 
 #[derive(Args, Debug)]
 pub struct AlignArgs {
@@ -69,6 +70,8 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
             let why = format!("{} and {}: {why}", args.a.display(), args.to.display());
             if args.json {
                 println!("{}", json!({ "status": "refused", "reason": why }));
+            } else if out::is_mute(Stream::Output) {
+                out::error_line(&format!("autoref-stream: not aligned: {why}"));
             } else {
                 println!("Not aligned: {why}");
             }

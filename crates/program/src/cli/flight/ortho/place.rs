@@ -6,6 +6,7 @@ use anyhow::{Context, Result, bail};
 use autoref_cloud::params;
 use autoref_elevation::grid::Grid;
 use autoref_flight::ortho::{Surface, View};
+use autoref_flight::read::tables::Angles;
 use autoref_flight::read::{self, same_image};
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Error, Pose, SizeOf};
@@ -97,6 +98,10 @@ fn posed_by_reconstruction(
     name: &str,
     model_crs: Option<&Crs>,
 ) -> Result<(Camera, Pose, Frame)> {
+    let of_tables = [("--camera", args.camera.is_some()), ("--angles", args.angles.angles() == Angles::Aircraft)];
+    if let Some((option, _)) = of_tables.into_iter().find(|(_, is_given)| *is_given) {
+        bail!("{option} is of a camera table, and {} is a reconstruction; leave it out", file.display());
+    }
     let model = read::reconstruction(file)?;
     let Some(i) = model.find(name) else { bail!("{}: has no frame `{name}`", file.display()) };
     let text = bounded::read_to_string(file, "cameras", bounded::DOCUMENT_BYTES).unwrap_or_default();
