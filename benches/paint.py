@@ -115,8 +115,13 @@ def is_held_out(path):
 
 @functools.lru_cache(maxsize=None)
 def photograph(path):
-    picture = cv2.imread(path, cv2.IMREAD_COLOR)
-    return None if picture is None else picture[:, :, ::-1]
+    picture = cv2.imread(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    if picture is None:
+        return None
+    if picture.dtype != np.uint8:
+        # OpenCV takes 16 bits for full range; a camera fills some of it.
+        picture = np.clip(picture * (250.0 / np.percentile(picture, 99.5)), 0, 255).astype(np.uint8)
+    return picture[:, :, ::-1]
 
 
 def crops(paths, random, count, side=CROP):
