@@ -161,6 +161,9 @@ fn one_kind(path: &Path, transform: &GeoTransform, crs: &Crs, point: bool) {
     write_tags(path, 0, &other, None, TagOptions::default());
     gdal_sees(path, &other, None);
     assert!(tags::undo(path, tags::Undo::DryRun).expect("undoable").more_below);
+    let foreseen = tags::would_undo_all(path).expect("undoable");
+    let lengths: Vec<u64> = foreseen.iter().map(|undone| undone.length_bytes).collect();
+    assert_eq!(lengths, [after.len() as u64, before.len() as u64], "both, the last one first");
     assert_eq!(bytes(path).len(), tags_len(path), "a dry run changes nothing");
     assert!(tags::undo(path, tags::Undo::Now).expect("undone").more_below);
     assert!(bytes(path) == after, "the first undo leads to the first tags");

@@ -44,15 +44,11 @@ fn planted_targets_are_found_and_centred() {
         (Kind::FifthArm, "black-white-cross", 0.95),
     ] {
         let (mut planted, mut hits, mut squares, mut normalised) = (0, 0, 0.0, Vec::new());
+        let side = if kind == Kind::FifthArm || crate::common::large() { 800 } else { 600 };
         for (number, cover) in ["photos/construction_caliterra.jpg", "photos/savanna_oam.tif"].iter().enumerate() {
             let Some(picture) = photo(cover) else { return };
             let mut random = Random(11 + number as u64);
-            let (picture, truth) = plant_targets(
-                &middle(&picture, if crate::common::large() { 800 } else { 600 }),
-                kind,
-                None,
-                &mut random,
-            );
+            let (picture, truth) = plant_targets(&middle(&picture, side), kind, None, &mut random);
             let found = find(&memory(&picture), &builtin(profile), 512, 2);
             planted += truth.len();
             for (x, y) in &truth {

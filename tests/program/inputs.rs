@@ -311,12 +311,16 @@ fn options_without_effect_are_refused() {
     for (line, words) in [
         (format!("{job} --quality 50"), "--quality belongs to --write warp"),
         (format!("{job} --write world --resolution 2"), "--resolution belongs to --write warp"),
+        (format!("{job} --write warp --compress zstd --quality 50"), "--quality is of jpeg and webp"),
+        (format!("{job} --write warp --quality 50"), "--quality is of jpeg and webp"),
         (format!("{job} --break-cog"), "--break-cog belongs to --write tags"),
         (
             "cloud grid k.xyz --out o --fill 0 --power 2".into(),
             "--power has no effect: no --stat is idw, and holes are not",
         ),
-        ("cloud grid k.xyz --out o --like-pdal --power 2".into(), "--power has no effect"),
+        ("cloud grid k.xyz --out o --fill 1 --power 2".into(), "holes are not filled"),
+        ("cloud grid k.xyz --out o --stat count --power 2".into(), "holes are not filled"),
+        ("cloud grid k.xyz --out o --like-pdal --power 2".into(), "holes are filled with PDAL's weights"),
     ] {
         let run = program(folder.path(), &line.split(' ').collect::<Vec<_>>());
         let said = String::from_utf8_lossy(&run.stderr);

@@ -145,7 +145,7 @@ fn random_subset(spec: &SynthSpec, at: &[(f64, f64)], count: usize, margin: f64)
 }
 
 /// Shifts the image by whole pixels, less than `step` each way, so that a mark lies on a corner of tiles of `step`
-/// pixels and as many others as possible across edges.
+/// pixels and many others across edges: of long lists the best of some shifts.
 fn straddle(
     g: GeoTransform,
     spec: &SynthSpec,

@@ -252,7 +252,7 @@ pub struct SynthSpec {
     pub mark: MarkStyle,
     /// σ of each coordinate of an error by which marks lie beside their surveyed points.
     pub displacement_px: f64,
-    /// Shift the image so that as many marks as possible straddle multiples of this many pixels.
+    /// Shift the image so that marks straddle multiples of this many pixels, one of them a corner.
     pub straddle_px: Option<u64>,
     /// σ of the sensor's noise in 8-bit levels. On photographs, which bring their own, only the marks get it.
     pub noise_sigma: f64,

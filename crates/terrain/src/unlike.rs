@@ -27,7 +27,7 @@ impl Known {
 
     /// Is no taught pixel within [`FAR`]?
     pub fn is_far(&self, features: &[u8; FEATURES]) -> bool {
-        // Sums of so few bytes fit 16 bits; without a check in every step, and in 16 bits, they are few vectors.
+        // Sums of so few bytes fit 16 bits; without a check in every step the compiler adds eight at a time.
         const { assert!(FEATURES * 255 <= u16::MAX as usize) };
         let distance = |known: &[u8; FEATURES]| {
             known.iter().zip(features).fold(0, |sum: u16, (a, b)| sum.wrapping_add(u16::from(a.abs_diff(*b))))

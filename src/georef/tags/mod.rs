@@ -16,6 +16,7 @@ use std::fs::{File, OpenOptions};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use self::store::Imagined;
 use crate::georef::sidecar;
 use autoref_raster::atomic::Edit;
 use autoref_raster::bounded;
@@ -131,6 +132,26 @@ pub fn undo(image: &Path, how: Undo) -> Result<Undone> {
         journal::undo(&mut file, &record).map_err(io)?;
     }
     Ok(Undone { length_bytes: record.old_length, program: record.program, more_below })
+}
+
+/// What taking back all edits would do, the last one first.
+///
+/// # Errors
+/// As [`undo`], for each of them.
+pub fn would_undo_all(image: &Path) -> Result<Vec<Undone>> {
+    let file = open_for_writing(image)?;
+    let io = |e| Error::io(image, "read", e);
+    let mut imagined = Imagined::of(&file).map_err(io)?;
+    let mut all = Vec::new();
+    loop {
+        let record = journal::read(image, &imagined)?;
+        journal::undo(&mut imagined, &record).map_err(io)?;
+        let more_below = journal::has_record(&imagined, record.old_length).map_err(io)?;
+        all.push(Undone { length_bytes: record.old_length, program: record.program, more_below });
+        if !more_below {
+            return Ok(all);
+        }
+    }
 }
 
 /// Whether the file ends with an undo record.

@@ -29,6 +29,56 @@ pub trait Store {
     fn sync(&mut self) -> io::Result<()>;
 }
 
+/// A file as it would be: what is written and cut off is remembered, and the file stays as it is.
+pub struct Imagined<'a> {
+    file: &'a dyn Store,
+    length: u64,
+    written: Vec<(u64, Vec<u8>)>,
+}
+
+impl<'a> Imagined<'a> {
+    /// # Errors
+    /// When the system does not tell how long the file is.
+    pub fn of(file: &'a dyn Store) -> io::Result<Self> {
+        Ok(Imagined { file, length: file.length()?, written: Vec::new() })
+    }
+}
+
+impl Store for Imagined<'_> {
+    fn length(&self) -> io::Result<u64> {
+        Ok(self.length)
+    }
+    fn read_at(&self, at: u64, out: &mut [u8]) -> io::Result<()> {
+        if at.checked_add(out.len() as u64).is_none_or(|end| end > self.length) {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        self.file.read_at(at, out)?;
+        for (from, bytes) in &self.written {
+            for (place, byte) in (*from..).zip(bytes) {
+                if let Some(out) = place.checked_sub(at).and_then(|i| out.get_mut(i as usize)) {
+                    *out = *byte;
+                }
+            }
+        }
+        Ok(())
+    }
+    fn write_at(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        self.written.push((at, bytes.to_vec()));
+        Ok(())
+    }
+    /// Undoing only cuts off.
+    fn set_length(&mut self, length: u64) -> io::Result<()> {
+        if length > self.length {
+            return Err(io::ErrorKind::Unsupported.into());
+        }
+        self.length = length;
+        Ok(())
+    }
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
 impl Store for File {
     fn length(&self) -> io::Result<u64> {
         Ok(self.metadata()?.len())

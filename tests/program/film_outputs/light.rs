@@ -53,12 +53,12 @@ fn grounds(first: u64) -> Vec<(&'static str, FilmGround, Vec<u64>)> {
     all
 }
 
-fn grey16(seed: u64) -> (FilmSpec, ResampleOptions) {
+fn grey16(pixel_um: f64, seed: u64) -> (FilmSpec, ResampleOptions) {
     let camera = load_camera("rmk-cross").expect("built in");
-    let mut spec = FilmSpec::plain(&camera, 140.0, seed);
+    let mut spec = FilmSpec::plain(&camera, pixel_um, seed);
     (spec.bits, spec.noise, spec.vignette) = (16, 0.004, 0.0);
     let options = ResampleOptions {
-        pixel_mm: 0.14,
+        pixel_mm: 1e-3 * pixel_um,
         kernel: Kernel::Cubic,
         mask_radius_mm: 3.0,
         boxes_mm: vec![],
@@ -108,7 +108,7 @@ fn known_vignette_is_evened_out_and_contrast_stays() {
 
 /// How much the light varies before, after `--lighting frame` and after `roll`, and the contrast that these two keep.
 fn vignette(ground: &FilmGround, seed: u64) -> [f64; 5] {
-    let (clean, options) = grey16(seed);
+    let (clean, options) = grey16(140.0, seed);
     let mut dim = clean.clone();
     dim.vignette = 0.5;
     let (w, even) = resampled(&clean, ground, &options, Light::AsScanned);
@@ -168,7 +168,7 @@ struct Bands<'a> {
 
 impl<'a> Bands<'a> {
     fn new(ground: &'a FilmGround, seed: u64) -> Bands<'a> {
-        let (mut clean, options) = grey16(seed);
+        let (mut clean, options) = grey16(100.0, seed);
         clean.rotation_deg = 0.4;
         let mut banded = clean.clone();
         banded.banding = 0.02;

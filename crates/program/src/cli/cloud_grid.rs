@@ -111,11 +111,12 @@ impl GridArgs {
         if !(power > 0.0 && power <= 10.0) {
             bail!("--power: {power} is not above 0 and at most 10; 1 to 3 are usual");
         }
-        let fills_by_it = self.fill > 0 && !self.like_pdal;
-        if !fills_by_it && stats.iter().all(|(_, stat)| *stat != Stat::Idw) {
+        // A window of one cell has no other cell in it, and counts are not filled.
+        let fills = self.fill > 1 && stats.iter().any(|(_, stat)| *stat != Stat::Count);
+        if (!fills || self.like_pdal) && stats.iter().all(|(_, stat)| *stat != Stat::Idw) {
             bail!(
                 "--power has no effect: no --stat is idw, and holes are {}; add idw to --stat, or leave --power out",
-                if self.fill == 0 { "not filled" } else { "filled with PDAL's weights" }
+                if fills { "filled with PDAL's weights" } else { "not filled" }
             );
         }
         Ok(power)

@@ -124,7 +124,7 @@ pub fn run(args: &FlightArgs) -> Result<ExitCode> {
         Err(error) => match error.downcast_ref::<Error>() {
             Some(no @ Error::NoResult { .. }) => {
                 let line = no.to_string();
-                eprintln!("autoref-stream: {line}");
+                crate::out::error_line(&format!("autoref-stream: {}", crate::printable(&line)));
                 if args.json() {
                     println!("{}", serde_json::to_string_pretty(&super::errors::document(&error, &line))?);
                 }

@@ -216,12 +216,13 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Looks {
     One,
-    /// Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an accident.
+    /// Colours can be learned from the image for a second pass, and looked for in any hue: more chances for an
+    /// accident.
     WithOtherColours,
 }
 
-/// A matcher for each look. The first has half of the false alarms that are allowed, the second a quarter, all clusters
-/// of colour together the last. Later looks match the strongest candidates only: of the work each may do a quarter of
+/// A matcher for each look. Where other colours are looked for, the first has half of the false alarms that are allowed,
+/// the second a quarter, all clusters of colour together the last; else the first has all. Later looks match the strongest candidates only: of the work each may do a quarter of
 /// what the first may, of a long list, whose hypotheses cost more, an eighth.
 struct Matchers {
     first: Box<dyn Matcher>,

@@ -29,9 +29,13 @@ pub fn run(args: &UndoArgs) -> anyhow::Result<()> {
     let how = if args.dry_run { Undo::DryRun } else { Undo::Now };
     let mut rows = Vec::new();
     for file in &args.files {
+        let mut foreseen = match (args.all, how) {
+            (true, Undo::DryRun) => tags::would_undo_all(file)?.into_iter(),
+            _ => Vec::new().into_iter(),
+        };
         loop {
-            let undone = tags::undo(file, how)?;
-            let more = args.all && undone.more_below && !args.dry_run;
+            let undone = foreseen.next().map_or_else(|| tags::undo(file, how), Ok)?;
+            let more = args.all && undone.more_below;
             if !args.quiet && !args.json {
                 let verb = if args.dry_run { "would be" } else { "is" };
                 println!(

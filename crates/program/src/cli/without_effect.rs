@@ -9,21 +9,29 @@ enum Needs {
     /// Given.
     Given(&'static str),
     /// One of these words.
-    Word(&'static str, &'static str),
-    /// None of these words.
+    Word(&'static str, &'static [&'static str]),
+    /// None of these words; without words, not given.
     NoWord(&'static str, &'static [&'static str]),
 }
 
 /// An option, by its name as an identifier. Every command that has an option of a `Given` or `NoWord` rule has the
 /// other; of a `Word` rule only those where the other has a word.
-const RULES: [(&str, Needs); 4] = [
+const RULES: [(&str, Needs); 12] = [
     ("reproject", Needs::Given("to_crs")),
     ("angles", Needs::Given("cameras")),
     ("blend", Needs::NoWord("choose", &["median", "feather"])),
     ("choose", Needs::NoWord("use_index", &[])),
+    ("window_mm", Needs::Given("learn")),
+    ("border_as", Needs::Given("border")),
+    ("extent_m", Needs::NoWord("gcps", &[])),
+    ("relief", Needs::NoWord("dem", &[])),
+    ("keep_noise", Needs::NoWord("like_pdal", &[])),
+    ("reach_px", Needs::NoWord("mask", &[])),
+    ("reach_px", Needs::NoWord("polygons", &[])),
+    ("reach_px", Needs::NoWord("colours", &[])),
 ];
 /// What the options need whose names begin so.
-const TOPOLOGICAL: (&str, Needs) = ("tpp_", Needs::Word("matcher", "tpp"));
+const TOPOLOGICAL: (&str, Needs) = ("tpp_", Needs::Word("matcher", &["tpp"]));
 
 /// Refuses an option that has no effect.
 ///
@@ -31,9 +39,9 @@ const TOPOLOGICAL: (&str, Needs) = ("tpp_", Needs::Word("matcher", "tpp"));
 /// [`Error::Usage`] naming it and what it needs.
 pub fn refuse(matches: &ArgMatches) -> Result<(), Error> {
     for option in matches.ids().map(clap::Id::as_str).filter(|option| is_given(matches, option)) {
-        let named = RULES.iter().find(|(name, _)| *name == option).map(|(_, needs)| needs);
-        let needs = named.or(option.starts_with(TOPOLOGICAL.0).then_some(&TOPOLOGICAL.1));
-        if let Some((what, remedy)) = needs.and_then(|needs| missing(matches, needs)) {
+        let named = RULES.iter().filter(|(name, _)| *name == option).map(|(_, needs)| needs);
+        let mut needs = named.chain(option.starts_with(TOPOLOGICAL.0).then_some(&TOPOLOGICAL.1));
+        if let Some((what, remedy)) = needs.find_map(|needs| missing(matches, needs)) {
             let option = option.replace('_', "-");
             return Err(Error::usage(
                 format!("--{option} has no effect where {what}"),
@@ -51,8 +59,9 @@ fn missing(matches: &ArgMatches, needs: &Needs) -> Option<(String, String)> {
             let other = other.replace('_', "-");
             Some((format!("--{other} is not given"), format!("give --{other}")))
         }
-        Needs::Word(other, word) if has(matches, other) && !is_word(matches, other, &[word]) => {
-            Some((format!("--{other} is not {word}"), format!("give --{other} {word}")))
+        Needs::Word(other, words) if has(matches, other) && !is_word(matches, other, words) => {
+            let words = words.join(" or ");
+            Some((format!("--{other} is not {words}"), format!("give --{other} {words}")))
         }
         Needs::NoWord(other, []) if is_given(matches, other) => {
             let other = other.replace('_', "-");
@@ -97,6 +106,12 @@ mod tests {
             ("a.tif|--gcps|b.csv|--tpp-distance|3", "--tpp-distance has no effect where --matcher is not tpp"),
             ("a.tif|--gcps|b.csv|--reproject|after", "--reproject has no effect where --to-crs is not given"),
             ("mosaic|a.tif|-o|b.tif|--choose|median|--blend|5", "--blend has no effect where --choose is median"),
+            ("fiducials|a.tif|--camera|x|-o|b|--window-mm|5,5", "--window-mm has no effect where --learn is not given"),
+            ("synth|a.tif|--gcps|b.csv|--extent-m|90,60", "--extent-m has no effect where --gcps is given"),
+            ("synth|a.tif|--random-gcps|9|--border-as|black", "--border-as has no effect where --border is not given"),
+            ("synth-flight|a|--dem|b.tif|--relief|50", "--relief has no effect where --dem is given"),
+            ("cloud|grid|a.laz|-o|b|--keep-noise|--like-pdal", "--keep-noise has no effect where --like-pdal is given"),
+            ("sample|a.tif|--polygons|b.geojson|--reach-px|9", "--reach-px has no effect where --polygons is given"),
             (
                 "mosaic|a.tif|-o|b.tif|--choose|first|--use-index|c.tif",
                 "--choose has no effect where --use-index is given",

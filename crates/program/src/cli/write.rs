@@ -97,6 +97,13 @@ impl WriteArgs {
             Some(option) if !kinds.contains(&Output::Warp) => Some((option, "warp")),
             _ => (self.break_cog && !kinds.contains(&Output::Tags)).then_some(("--break-cog", "tags")),
         };
+        let is_lossy = matches!(self.warp.compress, Some(Compression::Jpeg | Compression::Webp));
+        if unused.is_none() && self.warp.quality.is_some() && !is_lossy {
+            return Err(Error::usage(
+                "--quality is of jpeg and webp, and the copy is compressed without loss",
+                "give --compress jpeg or webp, or leave --quality out",
+            ));
+        }
         unused.map_or(Ok(()), |(option, kind)| {
             Err(Error::usage(
                 format!("{option} belongs to --write {kind}, and {kind} is not written"),

@@ -71,7 +71,7 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
             if args.json {
                 println!("{}", json!({ "status": "refused", "reason": why }));
             } else if out::is_mute(Stream::Output) {
-                out::error_line(&format!("autoref-stream: not aligned: {why}"));
+                out::error_line(&format!("autoref-stream: not aligned: {}", crate::printable(&why)));
             } else {
                 println!("Not aligned: {why}");
             }

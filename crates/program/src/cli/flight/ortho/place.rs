@@ -45,7 +45,10 @@ pub(super) fn posed(
         ),
     };
     let known = ["cameras.txt", "images.txt", "points3D.txt"];
-    let is_table = file.extension().and_then(|e| e.to_str()).is_some_and(|e| ["csv", "txt", "tsv"].contains(&e))
+    let is_table = file
+        .extension()
+        .and_then(|e| e.to_str())
+        .is_some_and(|e| ["csv", "txt", "tsv"].iter().any(|known| e.eq_ignore_ascii_case(known)))
         && file.file_name().and_then(|n| n.to_str()).is_none_or(|n| !known.contains(&n));
     let (mut camera, pose, frame) = if is_table {
         posed_by_table(args, &file, name, size, model_crs)?
@@ -98,11 +101,11 @@ fn posed_by_reconstruction(
     name: &str,
     model_crs: Option<&Crs>,
 ) -> Result<(Camera, Pose, Frame)> {
+    let model = read::reconstruction(file)?;
     let of_tables = [("--camera", args.camera.is_some()), ("--angles", args.angles.angles() == Angles::Aircraft)];
     if let Some((option, _)) = of_tables.into_iter().find(|(_, is_given)| *is_given) {
         bail!("{option} is of a camera table, and {} is a reconstruction; leave it out", file.display());
     }
-    let model = read::reconstruction(file)?;
     let Some(i) = model.find(name) else { bail!("{}: has no frame `{name}`", file.display()) };
     let text = bounded::read_to_string(file, "cameras", bounded::DOCUMENT_BYTES).unwrap_or_default();
     let stated = serde_json::from_str::<serde_json::Value>(&text).ok();
