@@ -311,6 +311,9 @@ fn options_without_effect_are_refused() {
     for (line, words) in [
         (format!("{job} --quality 50"), "--quality belongs to --write warp"),
         (format!("{job} --write world --resolution 2"), "--resolution belongs to --write warp"),
+        (format!("{job} --second-pass=always --refine never"), "--second-pass=always has no effect"),
+        (format!("{job} --second-pass --profile black-white-cross"), "found by their shape"),
+        ("cloud grid k.xyz --out o --range-from 1,2,3".into(), "--range-from has no effect"),
         (format!("{job} --write warp --compress zstd --quality 50"), "--quality is of jpeg and webp"),
         (format!("{job} --write warp --quality 50"), "--quality is of jpeg and webp"),
         (format!("{job} --break-cog"), "--break-cog belongs to --write tags"),

@@ -146,6 +146,9 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
     let power = args.power_for(&stats)?;
     let cameras = args.range_from.as_deref().map(Cameras::read).transpose()?;
     let dimensions = args.dimensions()?;
+    if args.range_from.is_some() && dimensions.iter().all(|dimension| dimension.name != "range") {
+        bail!("--range-from has no effect: `range` is not gridded; add it to --dimension, or leave --range-from out");
+    }
     let crs_wkt = args.means.begin(&args.clouds)?.asked.map(|crs| crs.wkt().to_string());
     let _folder = OutputFolder::make(&args.output)?;
     let fill = usize::from(args.fill);

@@ -7,6 +7,7 @@ use std::time::Instant;
 use anyhow::Context;
 use autoref_raster::RasterInfo;
 use autoref_raster::atomic::{self, Existing, Transaction};
+use autoref_raster::error::Error;
 use autoref_raster::memory_plan;
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::dialects;
@@ -157,11 +158,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = prepare::priors(info, &args.matching);
-    let learns = matches!(detector, MarkDetector::Paint(_))
-        && args.second_pass != SecondPassArg::Never
-        && args.refine == RefineArg::Always;
+    let looks = args.looks(&detector)?;
     let time_limit = args.matching.limit();
-    let looks = if learns { Looks::WithOtherColours } else { Looks::One };
     let matchers = Matchers::of(&args.matching, info, priors.len(), list.gcps.len(), looks, &time_limit)?;
     let bar = Bar::new(info, args.quiet || args.json);
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
@@ -178,7 +176,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         refine: args.refine.choice(),
     };
     let mut looked = Looked { run: georeference(&job)?, second: None, colours: None };
-    if learns {
+    if looks == Looks::WithOtherColours {
         let learned = Job { matcher: matchers.learned.as_ref(), ..job };
         let in_any_hue = Job { matcher: matchers.in_any_hue.as_ref(), ..job };
         looked = looked.again(args.second_pass, &learned, &in_any_hue)?;
@@ -221,9 +219,28 @@ enum Looks {
     WithOtherColours,
 }
 
-/// A matcher for each look. Where other colours are looked for, the first has half of the false alarms that are allowed,
-/// the second a quarter, all clusters of colour together the last; else the first has all. Later looks match the strongest candidates only: of the work each may do a quarter of
-/// what the first may, of a long list, whose hypotheses cost more, an eighth.
+impl RunArgs {
+    /// # Errors
+    /// When a second pass is asked for that cannot be.
+    fn looks(&self, detector: &MarkDetector) -> Result<Looks, Error> {
+        let cannot = match (detector, self.refine) {
+            (_, RefineArg::Never) => "--refine never looks no second time",
+            (MarkDetector::Paint(_), _) if self.second_pass == SecondPassArg::Never => return Ok(Looks::One),
+            (MarkDetector::Paint(_), _) => return Ok(Looks::WithOtherColours),
+            _ => "marks of this profile are found by their shape, and a second pass learns colours",
+        };
+        if self.second_pass == SecondPassArg::Always {
+            let message = format!("--second-pass=always has no effect: {cannot}");
+            return Err(Error::usage(message, "leave --second-pass out"));
+        }
+        Ok(Looks::One)
+    }
+}
+
+/// A matcher for each look. Where other colours are looked for, the first has half of the false alarms that are
+/// allowed, the second a quarter, all clusters of colour together the last; else the first has all. Later looks match
+/// the strongest candidates only: of the work each may do a quarter of what the first may, of a long list, whose
+/// hypotheses cost more, an eighth.
 struct Matchers {
     first: Box<dyn Matcher>,
     learned: Box<dyn Matcher>,

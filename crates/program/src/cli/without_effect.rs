@@ -108,7 +108,7 @@ mod tests {
             ("mosaic|a.tif|-o|b.tif|--choose|median|--blend|5", "--blend has no effect where --choose is median"),
             ("fiducials|a.tif|--camera|x|-o|b|--window-mm|5,5", "--window-mm has no effect where --learn is not given"),
             ("synth|a.tif|--gcps|b.csv|--extent-m|90,60", "--extent-m has no effect where --gcps is given"),
-            ("synth|a.tif|--random-gcps|9|--border-as|black", "--border-as has no effect where --border is not given"),
+            ("synth|a.tif|--random-gcps|9|--border-as|alpha", "--border-as has no effect where --border is not given"),
             ("synth-flight|a|--dem|b.tif|--relief|50", "--relief has no effect where --dem is given"),
             ("cloud|grid|a.laz|-o|b|--keep-noise|--like-pdal", "--keep-noise has no effect where --like-pdal is given"),
             ("sample|a.tif|--polygons|b.geojson|--reach-px|9", "--reach-px has no effect where --polygons is given"),
