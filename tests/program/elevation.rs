@@ -8,21 +8,21 @@ use gdal::raster::Buffer;
 use gdal::spatial_ref::SpatialRef;
 use serde_json::Value;
 
-fn autoref(arguments: &[&str]) -> Output {
+pub(super) fn autoref(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_autoref-stream")).args(arguments).output().expect("the program runs")
 }
 
-fn document(output: &Output) -> Value {
+pub(super) fn document(output: &Output) -> Value {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).expect("JSON")
 }
 
-fn write(path: &Path, corner: (f64, f64), size: (usize, usize), height: impl Fn(f64, f64) -> f64) {
+pub(super) fn write(path: &Path, corner: (f64, f64), size: (usize, usize), height: impl Fn(f64, f64) -> f64) {
     write_on(path, &[corner.0, 10.0, 0.0, corner.1, 0.0, -10.0], size, Some(25833), height);
 }
 
 /// Heights at places that are told in tenths of a cell from the corner, downwards negative.
-fn write_on(
+pub(super) fn write_on(
     path: &Path,
     transform: &[f64; 6],
     size: (usize, usize),
@@ -43,7 +43,7 @@ fn write_on(
     band.write((0, 0), size, &mut Buffer::new(size, values)).expect("writable");
 }
 
-fn hills(east: f64, north: f64) -> f64 {
+pub(super) fn hills(east: f64, north: f64) -> f64 {
     300.0
         + 40.0 * (east / 130.0 + (north / 210.0).sin()).sin()
         + 25.0 * (north / 90.0).cos()
@@ -56,23 +56,23 @@ fn read(path: &Path) -> (Vec<f64>, [f64; 6]) {
     (band.data().iter().map(|v| f64::from(*v)).collect(), dataset.geo_transform().expect("a geotransform"))
 }
 
-fn text(path: &Path) -> &str {
+pub(super) fn text(path: &Path) -> &str {
     path.to_str().expect("UTF-8")
 }
 
-struct Folder(tempfile::TempDir);
+pub(super) struct Folder(tempfile::TempDir);
 
 impl Folder {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         Folder(tempfile::tempdir().expect("a temporary folder"))
     }
 
-    fn at(&self, name: &str) -> PathBuf {
+    pub(super) fn at(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 }
 
-const CORNER: (f64, f64) = (500_000.0, 8_700_000.0);
+pub(super) const CORNER: (f64, f64) = (500_000.0, 8_700_000.0);
 
 #[test]
 fn a_moved_model_comes_back_with_its_own_cells() {

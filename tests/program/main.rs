@@ -22,6 +22,7 @@ mod detection_commands;
 mod dialects;
 mod e6;
 mod elevation;
+mod elevation_voids;
 mod faults;
 mod film;
 mod film_outputs;

@@ -116,7 +116,7 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
     let (ma, warped) = if stays(&ma.grid(), &from, &to).map_err(together)? {
         (ma, None)
     } else {
-        let warped = warp(a, mb.wkt(), &across_180(&ma, &mb))?;
+        let warped = warp(a, mb.wkt(), &cells_of(&ma, &mb))?;
         (Model::open(&warped)?.in_unit_of(&ma), Some(warped))
     };
     let (Some(va), Some(vb)) = (va, vb) else {
@@ -205,31 +205,43 @@ fn warp(a: &Path, wkt: &str, more: &[String]) -> Result<tempfile::TempPath> {
         // Every cell by PROJ itself: the usual interpolation between places may be off by an eighth of a cell.
         "-et",
         "0",
+        // Heights between A's cells, nothing smoothed: GDAL would take a kernel of another width in every block.
+        "-wo",
+        "XSCALE=1",
+        "-wo",
+        "YSCALE=1",
     ];
     let options: Vec<&str> = options.into_iter().chain(more.iter().map(String::as_str)).collect();
     crate::derive::warp(&source, &path, &options)?;
     Ok(path)
 }
 
-/// Where B's longitudes run over 180°, those of A would jump there and span the whole Earth: the part of B with as much
-/// again on each side, and A's own cells. No options elsewhere.
-fn across_180(a: &Model, b: &Model) -> Vec<String> {
+/// Sides of the cells of A in B's CRS: as long as A's on the ground, the shorter one where the axes may be turned
+/// against each other; GDAL would make them square in degrees. Where B's longitudes run over 180°, those of A would jump
+/// there and span the whole Earth: the part of B with as much again on each side.
+fn cells_of(a: &Model, b: &Model) -> Vec<String> {
     const METRES_PER_DEGREE: f64 = 111_319.5;
     let [west, south, east, north] = b.grid().bounds();
-    let is_degrees = b.crs().is_some_and(Crs::is_geographic) && !a.crs().is_some_and(Crs::is_geographic);
-    if !is_degrees || (west >= -180.0 && east <= 180.0) {
-        return Vec::new();
-    }
-    let (wide, high) = (east - west, north - south);
-    let low = (south - high).max(-90.0);
+    let is_geographic = |model: &Model| model.crs().is_some_and(Crs::is_geographic);
     let (mx, my) = a.ground_unit().metres_per_unit(a.grid().centre().1);
-    let cell = |step: f64, metres: f64, shrunk: f64| step.abs() * metres / METRES_PER_DEGREE / shrunk;
-    let shrunk = ((south + north) / 2.0).to_radians().cos().max(1e-3);
+    let [wide_m, high_m] = [a.grid().step_x.abs() * mx, a.grid().step_y.abs() * my];
+    let shorter_m = wide_m.min(high_m);
+    let sides = match (is_geographic(a), is_geographic(b)) {
+        (true, true) => [a.grid().step_x.abs(), a.grid().step_y.abs()],
+        (false, true) => {
+            let shrunk = ((south + north) / 2.0).to_radians().cos().max(1e-3);
+            [shorter_m / METRES_PER_DEGREE / shrunk, shorter_m / METRES_PER_DEGREE]
+        }
+        (_, false) => [shorter_m / b.ground_unit().metres_per_unit(0.0).0; 2],
+    };
     let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>();
-    let mut options = vec!["-te".to_string()];
-    options.extend(numbers(&[west - wide, low, east + wide, (north + high).min(90.0)]));
-    options.push("-tr".into());
-    options.extend(numbers(&[cell(a.grid().step_x, mx, shrunk), cell(a.grid().step_y, my, 1.0)]));
+    let mut options = vec!["-tr".to_string()];
+    options.extend(numbers(&sides));
+    if is_geographic(b) && !is_geographic(a) && (west < -180.0 || east > 180.0) {
+        let (wide, high) = (east - west, north - south);
+        options.push("-te".into());
+        options.extend(numbers(&[west - wide, (south - high).max(-90.0), east + wide, (north + high).min(90.0)]));
+    }
     options
 }
 

@@ -68,6 +68,35 @@ pub fn check_heights(model: &Path) -> Result<()> {
     Err(Error::unsupported(model, "no cell has a height", "look at its nodata value with gdalinfo -stats"))
 }
 
+/// GDAL's functions would take the pixels of such a model for places.
+fn refuse_placed_by_gcps(model: &Path, dataset: &Dataset) -> Result<()> {
+    if dataset.gcps().is_empty() || dataset.geo_transform().is_ok() {
+        return Ok(());
+    }
+    Err(Error::unsupported(
+        model,
+        "an elevation model that only GCPs place",
+        "warp it first: gdalwarp MODEL WARPED.tif",
+    ))
+}
+
+/// Refuses resamplings that an offset of the band makes wrong: they are of heights, and the stored numbers are warped.
+///
+/// # Errors
+/// [`Error::Unsupported`] with the remedy.
+pub fn check_resampling(model: &Path, resampling: &str) -> Result<()> {
+    let dataset = crate::model::open_dataset(model)?;
+    let offset = dataset.rasterband(1).map_err(|e| Error::gdal(model, e))?.offset().unwrap_or(0.0);
+    if offset == 0.0 || !["rms", "sum"].contains(&resampling) {
+        return Ok(());
+    }
+    Err(Error::unsupported(
+        model,
+        format!("--resampling {resampling} of a band with an offset of {offset}"),
+        "unscale it first: gdal_translate -unscale",
+    ))
+}
+
 /// Draws `model` into `out` as a GeoTIFF.
 ///
 /// # Errors
@@ -77,6 +106,7 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
     if dataset.raster_count() == 0 {
         return Err(Error::unsupported(model, "it holds no raster", "give an elevation raster"));
     }
+    refuse_placed_by_gcps(model, &dataset)?;
     let colours = drawing.colours.map(|table| Colours::read(table, || extremes(model, &dataset))).transpose()?;
     let width = dataset.raster_size().0 as u64;
     let _cache = RowCache::hold(model, &dataset, Use::Copied, drawing.memory_budget_bytes)?;
@@ -249,8 +279,9 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64, memory_budget
     let failed = |e: gdal::errors::GdalError| failed_to_write(out, &e.to_string());
     let watch = Written::watch(out);
     let source = crate::model::open_heights(model)?;
+    refuse_placed_by_gcps(model, &source)?;
     let band = source.rasterband(1).map_err(|e| Error::gdal(model, e))?;
-    check_levels(model, &band, interval)?;
+    check_levels(model, extremes(model, &source)?, interval)?;
     let _cache = RowCache::hold(model, &source, Use::Followed, memory_budget_bytes)?;
     let driver = DriverManager::get_driver_by_name(line_driver(out)?).map_err(failed)?;
     let mut dataset = driver.create_vector_only(out).map_err(failed)?;
@@ -302,16 +333,15 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64, memory_budget
 }
 
 /// Refuses an interval that would draw lines until the disk is full.
-fn check_levels(model: &Path, band: &gdal::raster::RasterBand<'_>, interval: f64) -> Result<()> {
+fn check_levels(model: &Path, (low, high): (f64, f64), interval: f64) -> Result<()> {
     // A model without any height has no range, and no lines.
-    let Ok(range) = band.compute_raster_min_max(false) else { return Ok(()) };
-    let levels = (range.max - range.min) / interval;
+    let levels = (high - low) / interval;
     if levels > MOST_LEVELS {
         let message = format!(
             "{}: heights from {} to {} cut at every {interval} make {levels:.0} levels, and {MOST_LEVELS} is the limit",
             model.display(),
-            range.min,
-            range.max
+            low,
+            high
         );
         return Err(Error::usage(message, "give a larger --interval, or declare the model's nodata value"));
     }
@@ -341,7 +371,14 @@ pub fn check_resolution(model: &Path, side: f64) -> Result<()> {
 /// # Errors
 /// GDAL's own words, when it cannot.
 pub fn warp(source: &Path, out: &Path, options: &[&str]) -> Result<()> {
-    let dataset = crate::model::open_stored(source)?;
+    warp_dataset(&crate::model::open_stored(source)?, source, out, options)
+}
+
+/// [`warp`] of a dataset of `source` as it is.
+///
+/// # Errors
+/// As [`warp`].
+pub(crate) fn warp_dataset(dataset: &Dataset, source: &Path, out: &Path, options: &[&str]) -> Result<()> {
     let words: Vec<CString> = options.iter().map(|o| c_string(source, o.as_bytes())).collect::<Result<_>>()?;
     let mut pointers: Vec<*mut c_char> = words.iter().map(|w| w.as_ptr().cast_mut()).collect();
     pointers.push(std::ptr::null_mut());

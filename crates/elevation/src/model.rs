@@ -2,9 +2,10 @@
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use gdal::raster::{GdalDataType, RasterBand};
+use gdal::raster::GdalDataType;
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 
 use crate::coords::GeoTransform;
@@ -314,16 +315,15 @@ pub(crate) fn look_through(
     Ok(())
 }
 
-/// Opens a model for GDAL's own functions, which know nothing of a band's scale and offset, and compute with NaN where
-/// another value says that there is no height: through a virtual raster that applies the former and leaves out the
-/// latter.
+/// Opens a model for GDAL's own functions, which know nothing of a band's scale and offset, and compute with what is no
+/// height but by a file's nodata value: through a virtual raster that applies the former and leaves out the latter.
 ///
 /// # Errors
 /// As [`open_dataset`].
 pub fn open_heights(path: &Path) -> Result<Dataset> {
     /// Nothing on Earth is as high.
     const VOID: f64 = -1e30;
-    let (dataset, name) = without_nan(path)?;
+    let (dataset, name) = without_voids(path)?;
     let Ok(band) = dataset.rasterband(1) else { return Ok(dataset) };
     let (ratio, offset) = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
     if (ratio, offset) == (1.0, 0.0) {
@@ -335,47 +335,117 @@ pub fn open_heights(path: &Path) -> Result<Dataset> {
     open_named(Path::new(&virtual_raster(&dataset, &band)), path)
 }
 
-/// Opens a model as it is stored, for GDAL's own functions; cells of NaN are without a height whatever its nodata.
+/// Opens a model as it is stored, for GDAL's own functions; cells without a height are those of its nodata value.
 ///
 /// # Errors
 /// As [`open_dataset`].
 pub fn open_stored(path: &Path) -> Result<Dataset> {
-    Ok(without_nan(path)?.0)
+    Ok(without_voids(path)?.0)
 }
 
-/// A model without NaN that counts as a height, and what GDAL calls it. One that has a mask or opacity, or that GCPs
-/// place, is left as it is: these say more than a virtual raster would keep.
-fn without_nan(path: &Path) -> Result<(Dataset, String)> {
+/// Values that stand for "no height" beside a declared one, at most.
+const MOST_VOIDS: usize = 4;
+
+/// A model in which the nodata value tells all cells without a height, and what GDAL calls it. One that GCPs place is
+/// left as it is: they say more than a virtual raster would keep.
+fn without_voids(path: &Path) -> Result<(Dataset, String)> {
     let dataset = open_dataset(path)?;
     let name = path.to_string_lossy().into_owned();
-    let may_hold_nan =
-        |band: &RasterBand<'_>| band.band_type().is_floating() && !band.no_data_value().is_some_and(f64::is_nan);
     let Ok(band) = dataset.rasterband(1) else { return Ok((dataset, name)) };
-    if !may_hold_nan(&band) || masked::has_mask(path, &band)? || !dataset.gcps().is_empty() {
+    if !dataset.gcps().is_empty() {
         return Ok((dataset, name));
     }
-    let mut holds_nan = false;
-    look_through(path, &dataset, |stored| {
-        holds_nan = stored.iter().any(|v| v.is_nan());
-        if holds_nan { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    })?;
-    if !holds_nan {
-        return Ok((dataset, name));
+    let scale = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
+    let (nodata, masked) = (band.no_data_value(), masked::has_mask(path, &band)?);
+    let rule = HeightBand { nodata, scale, masked, metres_per_value: 1.0, unit_name: None };
+    let voids = undeclared_voids(path, &dataset, &rule)?;
+    let kind = band.band_type();
+    let (kind, nodata) = match (nodata, &voids[..]) {
+        (_, []) if !masked => return Ok((dataset, name)),
+        (Some(nodata), _) => (kind, nodata),
+        // It is declared, and nothing else changes.
+        (None, [void]) if !masked && void.is_finite() => (kind, *void),
+        (None, _) if kind.is_floating() => (kind, f64::NAN),
+        (None, _) if kind.bits() <= 16 => (GdalDataType::Float32, f64::NAN),
+        (None, _) => (GdalDataType::Float64, f64::NAN),
+    };
+    let (mut dataset, mut name) =
+        if masked { without_masked(path, &dataset, &kind.name(), nodata)? } else { (dataset, name) };
+    // A source leaves out one value: one virtual raster over another.
+    for void in voids {
+        let xml = xml_without(&name, &dataset, (&kind.name(), nodata), void);
+        (dataset, name) = (open_named(Path::new(&xml), path)?, xml);
     }
-    let xml = xml_without_nan(&name, &dataset);
-    Ok((open_named(Path::new(&xml), path)?, xml))
+    Ok((dataset, name))
 }
 
-/// A virtual raster of all bands, in which NaN is the value that says that there is no height.
-fn xml_without_nan(name: &str, dataset: &Dataset) -> String {
+/// A warped virtual raster on the model's own grid, in which cells that its mask leaves out have the nodata value. It
+/// lies in GDAL's memory until the program ends.
+fn without_masked(path: &Path, dataset: &Dataset, kind: &str, nodata: f64) -> Result<(Dataset, String)> {
+    static COUNT: AtomicU64 = AtomicU64::new(0);
+    let (width, height) = dataset.raster_size();
+    let t = dataset.geo_transform().map_err(|e| Error::gdal(path, e))?;
+    if t[2] != 0.0 || t[4] != 0.0 || t[1] <= 0.0 || t[5] >= 0.0 {
+        let what = "a mask on a grid that is not north up";
+        return Err(Error::unsupported(path, what, "bring it north up first with gdalwarp"));
+    }
+    let name = format!("/vsimem/autoref-heights-{}.vrt", COUNT.fetch_add(1, Ordering::Relaxed));
+    let [west, south, east, north] =
+        [t[0], t[3] + height as f64 * t[5], t[0] + width as f64 * t[1], t[3]].map(|v| format!("{v:.17e}"));
+    let (columns, rows, nodata) = (width.to_string(), height.to_string(), number(nodata));
+    let grid = ["-te", &west, &south, &east, &north, "-ts", &columns, &rows];
+    let options = ["-of", "VRT", "-r", "near", "-et", "0", "-novshift", "-ot", kind, "-dstnodata", &nodata];
+    crate::derive::warp_dataset(dataset, path, Path::new(&name), &[&options[..], &grid].concat())?;
+    Ok((open_named(Path::new(&name), path)?, name))
+}
+
+/// What stands for "no height" in the cells and is not what the file declares.
+///
+/// # Errors
+/// When there are too many such values, or the model cannot be read.
+fn undeclared_voids(path: &Path, dataset: &Dataset, rule: &HeightBand) -> Result<Vec<f64>> {
+    let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
+    let kind = band.band_type();
+    // Such numbers are all heights but the declared one.
+    if rule.nodata.is_some() && !kind.is_floating() && kind.bits() <= 16 && rule.scale == (1.0, 0.0) {
+        return Ok(Vec::new());
+    }
+    let same = |a: f64, b: f64| a == b || (a.is_nan() && b.is_nan());
+    let is_declared = |v: f64| rule.nodata.is_some_and(|d| same(v, d) || same(v, f64::from(d as f32)));
+    let mut voids: Vec<f64> = Vec::new();
+    look_through(path, dataset, |stored| {
+        for &v in stored.iter().filter(|v| rule.is_void(**v)) {
+            if !is_declared(v) && !voids.iter().any(|known| same(*known, v)) {
+                voids.push(v);
+            }
+            if voids.len() > MOST_VOIDS {
+                return ControlFlow::Break(());
+            }
+        }
+        ControlFlow::Continue(())
+    })?;
+    if voids.len() > MOST_VOIDS {
+        let some = voids.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
+        return Err(Error::unsupported(
+            path,
+            format!("many values that are no heights ({some}, …)"),
+            "write one nodata value in their place first (gdal_calc.py)",
+        ));
+    }
+    Ok(voids)
+}
+
+/// A virtual raster of all bands, whose first is of a kind and has a nodata value, which stands in place of `void`.
+fn xml_without(name: &str, dataset: &Dataset, (kind, nodata): (&str, f64), void: f64) -> String {
+    let how = format!("<NODATA>{}</NODATA>", number(void));
     let bands = (1..=dataset.raster_count()).filter_map(|index| {
         let band = dataset.rasterband(index).ok()?;
         let (offset, scale) = (band.offset().unwrap_or(0.0), band.scale().unwrap_or(1.0));
         let unit = escaped(&band.unit());
         let said = format!("<UnitType>{unit}</UnitType><Offset>{offset:.17e}</Offset><Scale>{scale:.17e}</Scale>");
-        let nodata = band.no_data_value().unwrap_or(f64::NAN);
-        let kind = band.band_type().name();
-        Some(virtual_band(dataset, index, &kind, (nodata, &said), (name, "<NODATA>nan</NODATA>")))
+        let (own_kind, own_nodata) = (band.band_type().name(), band.no_data_value().unwrap_or(nodata));
+        let (kind, nodata) = if index == 1 { (kind, nodata) } else { (own_kind.as_str(), own_nodata) };
+        Some(virtual_band(dataset, index, kind, (nodata, &said), (name, &how)))
     });
     virtual_raster(dataset, &bands.collect::<String>())
 }

@@ -1,5 +1,6 @@
 //! One model minus another: statistics by class and zone, volumes, and how sure they are.
 
+mod density;
 mod extent;
 mod groups;
 mod lags;
@@ -373,17 +374,20 @@ impl CompareJob<'_> {
         let (mx, my) = scan.unit.metres_per_unit(scan.grid.centre().1);
         let cell_m = (scan.grid.step_x.abs() * mx, scan.grid.step_y.abs() * my);
         let variogram = variogram::fit(lags::classes(observed, cell_m, spread, means)?, cell_m.0.min(cell_m.1));
-        let mean_error = |n: u64, index: usize| variogram.mean_error(n, &first.places(index), cell_m);
+        let mean_error = |n: u64, zone: Option<u32>| {
+            let places = first.places(zone.map_or(0, |zone| zone as usize + 1));
+            variogram.mean_error(n, &places, cell_m, || density::share_beside(observed, &places, zone))
+        };
         let zone_areas_m2 = scan.zones.map_or_else(Vec::new, |zones| zones.areas_m2(&scan.unit));
         let volumes = zone_areas_m2.into_iter().enumerate();
         let volumes = volumes.map(|(zone, zone_area_m2)| {
             let n = classes.moments[classes.groups.first_zone + zone].n;
-            classes.volume(zone, zone_area_m2, cell_m, mean_error(n, zone + 1))
+            Ok(classes.volume(zone, zone_area_m2, cell_m, mean_error(n, Some(zone as u32))?))
         });
-        let volumes = volumes.collect();
+        let volumes = volumes.collect::<Result<_>>()?;
         let statistics: Vec<Statistics> =
             (0..classes.groups.names.len()).map(|group| classes.statistics(group)).collect();
-        let (mean_se_m, effective_n) = mean_error(classes.moments[0].n, 0).unzip();
+        let (mean_se_m, effective_n) = mean_error(classes.moments[0].n, None)?.unzip();
         let all = &statistics[0];
         Ok(Summary {
             a: self.a.display().to_string(),

@@ -9,6 +9,7 @@
 use serde::Serialize;
 
 use super::lags::LagClasses;
+use crate::error::Result;
 
 /// One class of distance.
 #[derive(Clone, Debug, Serialize)]
@@ -38,32 +39,44 @@ impl Variogram {
 
     /// The standard error of the mean of `n` cells, of which `places` are a sample, and the number of independent cells
     /// that would have the same. `None` where too few pairs of stable ground tell how differences hang together.
-    pub fn mean_error(&self, n: u64, places: &[(u64, u64)], cell_m: (f64, f64)) -> Option<(f64, f64)> {
+    /// `beside` is asked for the share of the cells about a cell that are there, too.
+    ///
+    /// # Errors
+    /// Those of `beside`.
+    pub fn mean_error(
+        &self,
+        n: u64,
+        places: &[(u64, u64)],
+        cell_m: (f64, f64),
+        beside: impl FnOnce() -> Result<f64>,
+    ) -> Result<Option<(f64, f64)>> {
         let total: f64 = self.sills_m2.iter().sum();
         if self.bins.is_empty() {
-            return None;
+            return Ok(None);
         }
         if n == 0 || total <= 0.0 {
-            return Some((0.0, n as f64));
+            return Ok(Some((0.0, n as f64)));
         }
+        let area = n as f64 * cell_m.0 * cell_m.1;
+        let is_short = |range: f64| range * range * 3.2 < 0.05 * area;
+        let share = if self.ranges_m.iter().any(|range| is_short(*range)) { beside()? } else { 1.0 };
         let variance: f64 = (0..2)
             .map(|i| {
                 let (sill, range) = (self.sills_m2[i], self.ranges_m[i]);
-                let area = n as f64 * cell_m.0 * cell_m.1;
                 let own = sill / n as f64;
-                let others = if range * range * 3.2 < 0.05 * area {
-                    near_sum(range, cell_m) / n as f64
+                let others = if is_short(range) {
+                    share * near_sum(range, cell_m) / n as f64
                 } else {
                     pair_mean(places, range, cell_m)
                 };
                 own + sill * others
             })
             .sum();
-        Some((variance.sqrt(), (total / variance).min(n as f64)))
+        Ok(Some((variance.sqrt(), (total / variance).min(n as f64))))
     }
 }
 
-/// Sum of the correlations of a cell with all others around it, where the range is short.
+/// Sum of the correlations of a cell with all others around it, were they all there, where the range is short.
 fn near_sum(range: f64, cell_m: (f64, f64)) -> f64 {
     let (across, down) = ((range / cell_m.0) as i64, (range / cell_m.1) as i64);
     if across.max(down) > 400 {

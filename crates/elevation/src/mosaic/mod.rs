@@ -353,14 +353,16 @@ fn stored(kind: GdalDataType, value: f64) -> f64 {
     }
 }
 
-/// The number next to another, of those that a kind holds.
+/// The number next to another, of those that a kind holds; of floats the first that GDAL tells from it.
 fn beside(kind: GdalDataType, value: f64) -> f64 {
+    /// Floats that are ten steps apart are still equal to GDAL.
+    const STEPS: usize = 16;
     let most = range(kind).1;
+    let towards = |value: f64| if value > 0.0 { value.next_down() } else { value.next_up() };
+    let towards_f32 = |value: f32| if value > 0.0 { value.next_down() } else { value.next_up() };
     match kind {
-        GdalDataType::Float64 if value > 0.0 => value.next_down(),
-        GdalDataType::Float64 => value.next_up(),
-        GdalDataType::Float32 if value > 0.0 => f64::from((value as f32).next_down()),
-        GdalDataType::Float32 => f64::from((value as f32).next_up()),
+        GdalDataType::Float64 => (0..STEPS).fold(value, |value, _| towards(value)),
+        GdalDataType::Float32 => f64::from((0..STEPS).fold(value as f32, |value, _| towards_f32(value))),
         _ if value < most => value + 1.0,
         _ => value - 1.0,
     }

@@ -548,6 +548,7 @@ fn resample(args: &ResampleArgs) -> anyhow::Result<()> {
     output::check(&outs.iter().map(PathBuf::as_path).collect::<Vec<_>>(), Existing::of_flag(args.overwrite))?;
     args.resources.resources().check()?;
     derive::check_heights(&args.model)?;
+    derive::check_resampling(&args.model, &args.resampling)?;
     args.resolution.iter().try_for_each(|side| derive::check_resolution(&args.model, *side))?;
     for (out, resolution) in outs.iter().zip(&args.resolution) {
         let side = resolution.to_string();

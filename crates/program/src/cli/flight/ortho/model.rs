@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use autoref_elevation::grid::Grid;
+use autoref_elevation::model::Model;
 use autoref_flight::Error;
 use autoref_flight::ortho::Surface;
 use autoref_raster::crs::Crs;
@@ -25,6 +26,8 @@ pub(in crate::cli) struct Dem {
     pub(super) crs: Option<Crs>,
     /// A height in metres is the stored number times the first plus the second.
     metres: (f64, f64),
+    /// What the elevation commands make of its cells.
+    model: Model,
 }
 
 /// The grid with its corner and its cells in another unit.
@@ -75,7 +78,7 @@ impl Dem {
             .into());
         }
         // What the elevation commands make of scale, offset and unit.
-        let model = autoref_elevation::model::Model::open(path)?;
+        let model = Model::open(path)?;
         let (factor, offset) = model.metres();
         let unit_m = crs.as_ref().map_or(1.0, Crs::metres_per_unit);
         let metres = match (&crs, model.unit_name()) {
@@ -90,7 +93,7 @@ impl Dem {
             }
             _ => (factor, offset),
         };
-        Ok(Dem { dataset, grid: scaled(&grid, unit_m), unit_m, crs, metres })
+        Ok(Dem { dataset, grid: scaled(&grid, unit_m), unit_m, crs, metres, model })
     }
 
     /// A place in metres as the CRS counts it.
@@ -111,7 +114,6 @@ impl Dem {
             .map_err(|e| RasterError::gdal(path, e))?
             .into_shape_and_vec()
             .1;
-        let nodata = band.no_data_value().map(|v| v as f32);
         if has_mask(path, &band)? {
             let there: Buffer<u8> = band
                 .open_mask_band()
@@ -120,7 +122,7 @@ impl Dem {
             heights.iter_mut().zip(there.data()).filter(|(_, t)| **t == 0).for_each(|(h, _)| *h = f32::NAN);
         }
         for h in &mut heights {
-            if Some(*h) == nodata || !h.is_finite() {
+            if self.model.is_void(f64::from(*h)) {
                 *h = f32::NAN;
             }
             if self.metres != (1.0, 0.0) {
