@@ -177,3 +177,24 @@ fn what_would_be_drawn_in_the_wrong_place_or_unit_is_refused() {
         assert_eq!(run.status.code(), Some(code), "{how}: {}", String::from_utf8_lossy(&run.stderr));
     }
 }
+
+/// A height that equals another source's nodata value stays a height to GDAL, which takes floats for equal that are ten
+/// steps apart.
+#[test]
+fn a_height_beside_a_nodata_value_is_there() {
+    let folder = Folder::new();
+    let (a, b, out) = (folder.at("a.tif"), folder.at("b.tif"), folder.at("o.tif"));
+    write(&a, CORNER, (20, 20), |_, _| -32_768.0);
+    write(&b, (CORNER.0 + 200.0, CORNER.1), (20, 20), |_, _| 5.0);
+    let options = || gdal::DatasetOptions { open_flags: gdal::GdalOpenFlags::GDAL_OF_UPDATE, ..Default::default() };
+    let dataset = gdal::Dataset::open_ex(&b, options()).expect("writable");
+    dataset.rasterband(1).and_then(|mut band| band.set_no_data_value(Some(-32_768.0))).expect("a value");
+    dataset.close().expect("written");
+    let found = document(&autoref(&["mosaic", text(&b), text(&a), "-o", text(&out), "--json"]));
+    assert_eq!(found["filled_cells"], 800, "{found}");
+    let dataset = gdal::Dataset::open(&out).expect("readable");
+    let band = dataset.rasterband(1).expect("a band");
+    let mask = band.open_mask_band().expect("a mask");
+    let there: Buffer<u8> = mask.read_band_as().expect("values");
+    assert!(there.data().iter().all(|v| *v == 255));
+}

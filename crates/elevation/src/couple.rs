@@ -217,8 +217,8 @@ fn warp(a: &Path, wkt: &str, more: &[String]) -> Result<tempfile::TempPath> {
 }
 
 /// Sides of the cells of A in B's CRS: as long as A's on the ground, the shorter one where the axes may be turned
-/// against each other; GDAL would make them square in degrees. Where B's longitudes run over 180°, those of A would jump
-/// there and span the whole Earth: the part of B with as much again on each side.
+/// against each other; GDAL would make them square in degrees. Where B's longitudes run over 180°, those of A would
+/// jump there and span the whole Earth: the part of B with as much again on each side.
 fn cells_of(a: &Model, b: &Model) -> Vec<String> {
     const METRES_PER_DEGREE: f64 = 111_319.5;
     let [west, south, east, north] = b.grid().bounds();
