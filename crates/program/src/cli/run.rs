@@ -224,7 +224,7 @@ impl RunArgs {
     /// When a second pass is asked for that cannot be.
     fn looks(&self, detector: &MarkDetector) -> Result<Looks, Error> {
         let cannot = match (detector, self.refine) {
-            (_, RefineArg::Never) => "--refine never looks no second time",
+            (_, RefineArg::Never) => "with --refine never the image is looked at once",
             (MarkDetector::Paint(_), _) if self.second_pass == SecondPassArg::Never => return Ok(Looks::One),
             (MarkDetector::Paint(_), _) => return Ok(Looks::WithOtherColours),
             _ => "marks of this profile are found by their shape, and a second pass learns colours",
