@@ -10,7 +10,7 @@ use std::io::Write;
 use std::path::Path;
 
 use crate::candidate::{Candidate, Code};
-use crate::gcp::text::decode;
+use crate::georef::spreadsheet::Spreadsheet;
 use autoref_raster::bounded;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
@@ -92,15 +92,8 @@ pub fn write_geojson(candidates: &[Candidate], mut out: impl Write) -> std::io::
 /// # Errors
 /// When the file cannot be read, lacks `x` or `y`, or has a value that is no number; the message names the row.
 pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
-    let bytes = bounded::read(path, "a list of candidates", bounded::DOCUMENT_BYTES)?;
-    let text = decode(&bytes).ok_or_else(|| Error::format(path, "begin", "this is no text"))?;
-    let (table, skipped) = without_spreadsheet_line(&text);
-    let delimiter = delimiter(&text);
-    let mut reader = csv::ReaderBuilder::new()
-        .trim(csv::Trim::All)
-        .comment(Some(b'#'))
-        .delimiter(delimiter)
-        .from_reader(table.as_bytes());
+    let table = Spreadsheet::read(path, "a list of candidates", bounded::DOCUMENT_BYTES)?;
+    let mut reader = table.reader();
     let headers = reader.headers().map_err(|e| csv_error(path, &e))?.clone();
     let column = |name: &str| headers.iter().position(|h| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(name));
     let (places, code_place) = (COLUMNS.map(column), column(CODE));
@@ -112,15 +105,11 @@ pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
     let mut candidates = Vec::new();
     for (index, record) in reader.records().enumerate() {
         let record = record.map_err(|e| csv_error(path, &e))?;
-        let row = index + 2 + skipped;
+        let row = table.row(index);
         let mut values = [None; 10];
         for ((value, place), name) in values.iter_mut().zip(places).zip(COLUMNS) {
             let Some(text) = place.and_then(|i| record.get(i)).filter(|text| !text.is_empty()) else { continue };
-            // A German spreadsheet writes semicolons and decimal commas; between commas they are quoted, where a comma
-            // before three digits may as well part the thousands.
-            let thousands = delimiter == b',' && text.rsplit_once(',').is_some_and(|(_, digits)| digits.len() == 3);
-            let plain = if thousands { text.to_owned() } else { text.replacen(',', ".", 1) };
-            let number = plain.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| {
+            let number = table.number(text).ok_or_else(|| {
                 Error::format(path, format!("row {row}"), format!("`{text}` in column `{name}` is not a number"))
             })?;
             *value = Some(number);
@@ -146,27 +135,6 @@ pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
         });
     }
     Ok(candidates)
-}
-
-/// The table without a first line `sep=;`, which spreadsheets write for each other, and how many lines that was.
-fn without_spreadsheet_line(text: &str) -> (&str, usize) {
-    match text.split_once('\n') {
-        Some((first, rest)) if spreadsheet_delimiter(first).is_some() => (rest, 1),
-        _ => (text, 0),
-    }
-}
-
-fn spreadsheet_delimiter(line: &str) -> Option<u8> {
-    let stated = line.trim().trim_matches('"').strip_prefix("sep=")?.as_bytes();
-    (stated.len() <= 1).then(|| stated.first().copied().unwrap_or(b'\t'))
-}
-
-/// What stands between the columns, by the first line that is no comment: a comma, or what spreadsheets write in
-/// countries with a decimal comma.
-fn delimiter(text: &str) -> u8 {
-    let first = text.lines().find(|line| !line.starts_with('#') && !line.is_empty()).unwrap_or_default();
-    let found = || ";\t".bytes().find(|d| first.as_bytes().contains(d));
-    spreadsheet_delimiter(first).or_else(found).unwrap_or(b',')
 }
 
 fn csv_error(path: &Path, error: &csv::Error) -> Error {

@@ -14,6 +14,7 @@ pub mod exif;
 pub mod gcps_vrt;
 pub mod heights;
 pub mod sidecar;
+pub mod spreadsheet;
 pub mod tags;
 pub mod transfer;
 pub mod warp;

@@ -218,18 +218,17 @@ impl Field {
     /// the whole field's. Clutter in clumps and rows makes accidents likelier just there, so the estimate leans to the
     /// dense side. Each disc leaves out one point: the hit whose chance is asked for.
     pub fn density_near(&self, p: PixelPoint) -> f64 {
-        let global = self.density;
-        let mut density = global;
-        for expected in [16.0, 4.0, 1.0] {
-            let radius = (expected / (global * std::f64::consts::PI)).sqrt();
-            let mut count = 0u32;
-            self.around(p, radius, |_, q| {
-                count += u32::from((q.x - p.x).powi(2) + (q.y - p.y).powi(2) <= radius * radius);
-            });
-            let local = f64::from(count.saturating_sub(1)) / (std::f64::consts::PI * radius * radius);
-            density = density.max(local);
-        }
-        density
+        let radii = [16.0, 4.0, 1.0].map(|expected| (expected / (self.density * std::f64::consts::PI)).sqrt());
+        let squares = radii.map(|radius| radius * radius);
+        let mut counts = [0u32; 3];
+        self.around(p, radii[0], |_, q| {
+            let square = (q.x - p.x).powi(2) + (q.y - p.y).powi(2);
+            for (count, disc) in counts.iter_mut().zip(squares) {
+                *count += u32::from(square <= disc);
+            }
+        });
+        let local = |(count, disc): (u32, f64)| f64::from(count.saturating_sub(1)) / (std::f64::consts::PI * disc);
+        counts.into_iter().zip(squares).map(local).fold(self.density, f64::max)
     }
 }
 

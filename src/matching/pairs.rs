@@ -1,5 +1,7 @@
 //! Pairs of GCPs: how many hypotheses each allows, and in what order they are tried.
 
+use rayon::prelude::*;
+
 use crate::matching::Priors;
 use crate::matching::draws::Draws;
 use crate::matching::field::Field;
@@ -37,49 +39,88 @@ impl GcpPair {
 
 /// The pairs of GCPs that a search holds: of long lists those that come first.
 const MOST_PAIRS: usize = 200_000;
+/// First ends whose pairs are laid out together.
+const FIRSTS_TOGETHER: usize = 128;
+
+/// A pair of GCPs by its place in the order of trying, least first.
+type InTurn = (u64, u32, u32);
 
 /// The pairs of GCPs in the order of trying, at most [`MOST_PAIRS`], and the number of hypotheses that the priors allow
 /// with all.
 pub(super) fn gcp_pairs(field: &Field, gcps: &[MapPoint], priors: &Priors) -> (Vec<GcpPair>, f64) {
-    let diagonal = field.width_px.hypot(field.height_px);
-    let distances = sampled_distances(field.points());
-    let share_below = |d: f64| distances.partition_point(|&x| x <= d) as f64 / distances.len() as f64;
-    let n = field.points().len() as f64;
-    let turn = priors.rotation_deg.map_or(1.0, |(_, half)| (2.0 * half / 360.0).min(1.0));
-    let (finest, coarsest) = priors.gsd_m_per_px.unwrap_or((0.0, f64::INFINITY));
-    let mut pairs = Vec::new();
-    let mut possible = 0.0;
-    for a in 0..gcps.len() {
-        for b in a + 1..gcps.len() {
-            let length_m = (gcps[a].easting - gcps[b].easting).hypot(gcps[a].northing - gcps[b].northing);
-            let reach_px = ((length_m / coarsest).max(SMALLEST_BASE_PX), (length_m / finest).min(diagonal));
-            if length_m <= 0.0 || reach_px.0 >= reach_px.1 {
-                continue;
-            }
-            // At least a few, where the sample says none.
-            let share = (share_below(reach_px.1) - share_below(reach_px.0)).max(1.0 / distances.len() as f64);
-            let cost = n * (n - 1.0) * share * turn;
+    let allowed = Allowed::of(field, priors);
+    let by_cost = priors.narrow_by_scale();
+    let of_first = |a: usize| {
+        let pairs = (a + 1..gcps.len()).filter_map(|b| allowed.pair(gcps, (a, b)));
+        let in_turn = |pair: &GcpPair| {
+            // Bits of positive numbers are in the order of the numbers. Where every pair costs about the same, a fixed
+            // shuffle keeps one bad point from spoiling the start.
+            let key = match by_cost {
+                true => pair.cost.to_bits(),
+                false => ((pair.a * 7919 + pair.b) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15),
+            };
+            ((key, pair.a as u32, pair.b as u32), pair.cost)
+        };
+        pairs.map(|pair| in_turn(&pair)).collect::<Vec<(InTurn, f64)>>()
+    };
+    let (mut order, mut possible): (Vec<InTurn>, f64) = (Vec::new(), 0.0);
+    for some in (0..gcps.len()).collect::<Vec<_>>().chunks(FIRSTS_TOGETHER) {
+        let pairs: Vec<Vec<(InTurn, f64)>> = some.par_iter().map(|a| of_first(*a)).collect();
+        for (in_turn, cost) in pairs.into_iter().flatten() {
             possible += cost;
-            pairs.push(GcpPair { a, b, length_m, reach_px, cost });
-            if pairs.len() >= 2 * MOST_PAIRS {
-                pairs.select_nth_unstable_by(MOST_PAIRS, |p, q| in_turn(p, q, priors));
-                pairs.truncate(MOST_PAIRS);
-            }
+            order.push(in_turn);
+        }
+        if order.len() > MOST_PAIRS {
+            order.select_nth_unstable(MOST_PAIRS);
+            order.truncate(MOST_PAIRS);
         }
     }
-    pairs.sort_unstable_by(|p, q| in_turn(p, q, priors));
-    pairs.truncate(MOST_PAIRS);
-    (pairs, possible)
+    order.par_sort_unstable();
+    let pair = |&(_, a, b): &InTurn| allowed.pair(gcps, (a as usize, b as usize)).expect("it was allowed before");
+    (order.par_iter().map(pair).collect(), possible)
 }
 
-/// Which pair is tried first.
-fn in_turn(p: &GcpPair, q: &GcpPair, priors: &Priors) -> std::cmp::Ordering {
-    if priors.narrow_by_scale() {
-        return p.cost.total_cmp(&q.cost).then((p.a, p.b).cmp(&(q.a, q.b)));
+/// Which pairs of GCPs the priors allow in a field, and what they cost.
+struct Allowed {
+    diagonal_px: f64,
+    finest: f64,
+    coarsest: f64,
+    /// Ordered pairs of points.
+    point_pairs: f64,
+    /// The share of them that the direction of north allows.
+    turn: f64,
+    distances: Vec<f64>,
+}
+
+impl Allowed {
+    fn of(field: &Field, priors: &Priors) -> Allowed {
+        let n = field.points().len() as f64;
+        let turn = priors.rotation_deg.map_or(1.0, |(_, half)| (2.0 * half / 360.0).min(1.0));
+        let (finest, coarsest) = priors.gsd_m_per_px.unwrap_or((0.0, f64::INFINITY));
+        let diagonal_px = field.width_px.hypot(field.height_px);
+        Allowed {
+            diagonal_px,
+            finest,
+            coarsest,
+            point_pairs: n * (n - 1.0),
+            turn,
+            distances: sampled_distances(field.points()),
+        }
     }
-    // Every pair costs about the same: a fixed shuffle keeps one bad point from spoiling the start.
-    let shuffled = |p: &GcpPair| ((p.a * 7919 + p.b) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    shuffled(p).cmp(&shuffled(q)).then((p.a, p.b).cmp(&(q.a, q.b)))
+
+    fn pair(&self, gcps: &[MapPoint], (a, b): (usize, usize)) -> Option<GcpPair> {
+        let length_m = (gcps[a].easting - gcps[b].easting).hypot(gcps[a].northing - gcps[b].northing);
+        let reach_px =
+            ((length_m / self.coarsest).max(SMALLEST_BASE_PX), (length_m / self.finest).min(self.diagonal_px));
+        if length_m <= 0.0 || reach_px.0 >= reach_px.1 {
+            return None;
+        }
+        let sampled = self.distances.len() as f64;
+        let share_below = |d: f64| self.distances.partition_point(|&x| x <= d) as f64 / sampled;
+        // At least a few, where the sample says none.
+        let share = (share_below(reach_px.1) - share_below(reach_px.0)).max(1.0 / sampled);
+        Some(GcpPair { a, b, length_m, reach_px, cost: self.point_pairs * share * self.turn })
+    }
 }
 
 /// Sorted distances of pairs of points: all of few, a fixed sample of many.

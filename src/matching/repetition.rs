@@ -3,6 +3,8 @@
 //! Whatever part of such a list has marks, the same marks fit the moved list as well but for those at its ends, and
 //! neither is believed ([`super::rivals`]). A long search would end with the same answer.
 
+use rayon::prelude::*;
+
 use crate::matching::Priors;
 use crate::matching::draws::Draws;
 use crate::matching::field::Field;
@@ -101,11 +103,13 @@ fn distance(p: PixelPoint, q: PixelPoint) -> f64 {
 /// Median of the distances of points to their neighbours.
 fn usual_step(points: &[PixelPoint]) -> f64 {
     let square = |p: PixelPoint, q: PixelPoint| (p.x - q.x).powi(2) + (p.y - q.y).powi(2);
+    // Smaller of two without a branch, and a point of its own on either side.
+    let least = |least: f64, s: f64| if s < least { s } else { least };
     let nearest = |i: usize| {
-        let others = points.iter().enumerate().filter(|(j, _)| *j != i);
-        others.map(|(_, q)| square(points[i], *q)).fold(f64::INFINITY, f64::min)
+        let others = points[..i].iter().chain(&points[i + 1..]);
+        others.map(|q| square(points[i], *q)).fold(f64::INFINITY, least)
     };
-    let mut steps: Vec<f64> = (0..points.len()).map(|i| nearest(i).sqrt()).collect();
+    let mut steps: Vec<f64> = (0..points.len()).into_par_iter().map(|i| nearest(i).sqrt()).collect();
     steps.sort_by(f64::total_cmp);
     steps[steps.len() / 2]
 }
@@ -131,19 +135,15 @@ fn by_base(field: &Field, (a, b): (usize, usize), (off_m, most_turned_deg): (f64
         let square = (points[c].x - points[d].x).powi(2) + (points[c].y - points[d].y).powi(2);
         (least..=most).contains(&square)
     };
-    let mut ends: Vec<(f64, usize, usize)> = Vec::new();
-    for c in 0..points.len() {
-        for d in 0..points.len() {
-            if !is_as_long(c, d) {
-                continue;
-            }
+    let ends_from = |c: usize| {
+        let moved = move |d: usize| {
             let move_m = distance(points[a], points[c]).max(distance(points[b], points[d]));
-            if move_m > MOVED * off_m {
-                ends.push((move_m, c, d));
-            }
-        }
-    }
-    ends.sort_by(|s, t| s.0.total_cmp(&t.0).then((s.1, s.2).cmp(&(t.1, t.2))));
+            (move_m > MOVED * off_m).then_some((move_m, c, d))
+        };
+        (0..points.len()).filter(move |d| is_as_long(c, *d)).filter_map(moved)
+    };
+    let mut ends: Vec<(f64, usize, usize)> = (0..points.len()).into_par_iter().flat_map_iter(ends_from).collect();
+    ends.par_sort_by(|s, t| s.0.total_cmp(&t.0).then((s.1, s.2).cmp(&(t.1, t.2))));
     ends.into_iter().find_map(|(_, c, d)| {
         let direction = |from: usize, to: usize| (points[to].y - points[from].y).atan2(points[to].x - points[from].x);
         let turn = direction(c, d) - direction(a, b);

@@ -86,6 +86,29 @@ fn points_known_only_in_plan_or_height_are_used_for_what_they_know() {
     assert_eq!(partial["residuals"][5]["e_m"], Value::Null);
 }
 
+/// A table that counts y upwards is a mirror image to a rotation; German spreadsheets write what they write.
+#[test]
+fn a_mirrored_table_is_called_so_and_spreadsheets_are_read() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let table = folder.path().join("table.csv");
+    let solved = |sign: f64| {
+        let mut text = String::from("sep=;\nname;x;y;easting;northing\n");
+        for (i, (x, y)) in [(10.5, 20.0), (900.0, 40.0), (450.0, 700.25), (80.0, 610.0)].into_iter().enumerate() {
+            let (e, n) = (1000.0 + 0.5 * x, 5000.0 - sign * 0.5 * y);
+            text.push_str(&format!("P{i};{x};{y};{e};{n}\n").replace('.', ","));
+        }
+        std::fs::write(&table, text).expect("writable");
+        document(&["compare-solvers", table.to_str().expect("UTF-8"), "--json"])
+    };
+    let right = solved(1.0);
+    near(&found(&right, "plane", "Horn", "pixels to metres")["scale"], 0.5, 1e-9);
+    let mirrored = solved(-1.0);
+    for solver in ["Horn", "HornHilden", "Umeyama", "UmeyamaHornScale", "Kraus"] {
+        let told = found(&mirrored, "plane", solver, "pixels to metres");
+        assert_eq!(told["reason"], "the points are a mirror image", "{solver}: {told}");
+    }
+}
+
 #[test]
 fn bad_tables_and_lists_get_one_line() {
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -1,7 +1,7 @@
 //! Film ↔ scan: the pose that the search uses, and the interior orientation with residuals and covariance. The least
 //! squares are those of [`autoref_solve`].
 
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::types::{Camera, InteriorModel, InteriorOrientation};
 use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
@@ -311,8 +311,9 @@ fn planar_matrix(marks: &[Observation], kind: planar::Kind) -> Option<[f64; 9]> 
     (last.abs() > 1e-12).then(|| std::array::from_fn(|k| h[(k / 3, k % 3)] / last))
 }
 
-/// Covariance of the free coefficients: (J'P J)⁻¹ with P from the marks' own covariances on the film, scaled by the
-/// variance of unit weight when that is larger than 1.
+/// Covariance of the free coefficients, which are fitted with equal weights: N⁻¹ J'ΣJ N⁻¹ with N = J'J and Σ from the
+/// marks' own covariances on the film, scaled where the residuals are larger than Σ makes them (E. M. Mikhail and F.
+/// Ackermann, "Observations and Least Squares", 1976: propagation through a linear estimate).
 fn covariance(interior: &InteriorOrientation, marks: &[Observation], sign: f64) -> Option<Vec<Vec<f64>>> {
     let h = &interior.pixel_to_mm;
     let n = match interior.model {
@@ -320,12 +321,13 @@ fn covariance(interior: &InteriorOrientation, marks: &[Observation], sign: f64) 
         InteriorModel::Affine => 6,
         InteriorModel::Projective => 8,
     };
-    let mut normal = DMatrix::<f64>::zeros(n, n);
+    let mut jacobian = DMatrix::<f64>::zeros(2 * marks.len(), n);
+    let mut variances = Vec::with_capacity(2 * marks.len());
     let mut misfit = 0.0;
     // Pixels are scaled so that the normal matrix keeps its digits.
     let unit = marks.iter().map(|m| m.pixel.x.abs().max(m.pixel.y.abs())).fold(1.0, f64::max);
     let mirror = interior.mirrored.sign();
-    for m in marks {
+    for (i, m) in marks.iter().enumerate() {
         let (x, y) = (m.pixel.x / unit, m.pixel.y / unit);
         let w = h[6] * m.pixel.x + h[7] * m.pixel.y + h[8];
         let at = interior.to_mm(m.pixel)?;
@@ -339,21 +341,22 @@ fn covariance(interior: &InteriorOrientation, marks: &[Observation], sign: f64) 
         };
         let pixel_mm = interior.pixel_um / 1e3;
         // One number per mark: the marks' error ellipses are nearly round.
-        let variance = 0.5 * (m.covariance_px2[0] + m.covariance_px2[2]) * pixel_mm * pixel_mm;
-        let p = 1.0 / variance.max(1e-10);
-        for row in &rows {
-            for a in 0..n {
-                for b in 0..n {
-                    normal[(a, b)] += p * row[a] * row[b];
-                }
-            }
+        let variance = (0.5 * (m.covariance_px2[0] + m.covariance_px2[2]) * pixel_mm * pixel_mm).max(1e-10);
+        for (axis, row) in rows.iter().enumerate() {
+            row.iter().enumerate().for_each(|(a, v)| jacobian[(2 * i + axis, a)] = *v);
+            variances.push(variance);
         }
         let r = residual_um(interior, m.mm, m.pixel)?;
-        misfit += p * (r[0] * r[0] + r[1] * r[1]) * 1e-6;
+        misfit += (r[0] * r[0] + r[1] * r[1]) * 1e-6 / variance;
     }
-    let redundancy = 2.0 * marks.len() as f64 - n as f64;
-    let scale = if redundancy > 0.0 { (misfit / redundancy).max(1.0) } else { 1.0 };
-    let inverse = normal.try_inverse()? * scale;
+    let gain = (jacobian.transpose() * &jacobian).try_inverse()? * jacobian.transpose();
+    let spread = DMatrix::from_diagonal(&DVector::from_vec(variances.clone()));
+    let leaves = DMatrix::identity(variances.len(), variances.len()) - &jacobian * &gain;
+    // What the residuals would add up to if Σ were true.
+    let left = (&leaves * &spread * leaves.transpose()).diagonal();
+    let expected: f64 = left.iter().zip(&variances).map(|(left, variance)| left / variance).sum();
+    let scale = if 2 * marks.len() > n { (misfit / expected).max(1.0) } else { 1.0 };
+    let inverse = &gain * spread * gain.transpose() * scale;
     let in_pixels = |k: usize| match (interior.model, k) {
         (InteriorModel::Similarity, 0 | 1) => 1.0 / unit,
         (InteriorModel::Affine | InteriorModel::Projective, 0 | 1 | 3 | 4 | 6 | 7) => 1.0 / unit,
@@ -366,6 +369,7 @@ fn covariance(interior: &InteriorOrientation, marks: &[Observation], sign: f64) 
 mod tests {
     use super::*;
     use crate::camera::load_camera;
+    use autoref_raster::random::SplitMix64;
 
     fn observed(camera: &Camera, pose: &Pose) -> Vec<Observation> {
         let film = camera.film_points();
@@ -412,5 +416,35 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// Two marks that a person placed beside two that were measured: the stated covariance is that of the fit, which
+    /// weighs them alike, and scatters as drawn errors do.
+    #[test]
+    fn the_covariance_is_that_of_equal_weights() {
+        let camera = load_camera("wild-15-4").expect("built in");
+        let pose = Pose::about(camera.film_centre(), PixelPoint { x: 6000.0, y: 5900.0 }, 50.0, 3.0, Handedness::AsIs);
+        let exact: Vec<Observation> = observed(&camera, &pose).into_iter().take(4).collect();
+        let sigmas = [0.02, 0.3, 0.02, 0.3];
+        let mut random = SplitMix64(7);
+        let (mut squares, mut stated, draws) = (0.0, 0.0, 400);
+        for _ in 0..draws {
+            let mut marks = exact.clone();
+            for (mark, sigma) in marks.iter_mut().zip(sigmas) {
+                let variance: f64 = sigma * sigma;
+                (mark.covariance_px2) = [variance, 0.0, variance];
+                mark.pixel.x += sigma * random.normal();
+                mark.pixel.y += sigma * random.normal();
+            }
+            let interior = solve(&camera, &marks, InteriorModel::Affine, Handedness::AsIs).expect("well determined");
+            let at = exact[2].pixel;
+            let row = [at.x, at.y, 1.0];
+            let variance: f64 = (0..9).map(|k| row[k / 3] * interior.covariance[k / 3][k % 3] * row[k % 3]).sum();
+            squares += (interior.to_mm(at).expect("regular")[0] - exact[2].mm[0]).powi(2) / f64::from(draws);
+            stated += variance / f64::from(draws);
+        }
+        let ratio = (squares / stated).sqrt();
+        // Residuals that come out large by chance widen what is stated, small ones do not narrow it.
+        assert!((0.7..1.1).contains(&ratio), "{ratio}");
     }
 }

@@ -195,7 +195,7 @@ pub struct InteriorOrientation {
     pub sigma0_um: Option<f64>,
     /// Covariance of the free coefficients, row by row: of a similarity (a, b, X₀, Y₀) with h0 = m·a, h1 = −b, h3 =
     /// s·m·b, h4 = s·a, s = −1 for y up, m = −1 when mirrored; else h0 to h5 (affine) or h0 to h7. From the marks'
-    /// covariances, scaled by the variance of unit weight when that is above 1.
+    /// covariances through the fit, which weighs marks alike; larger where the residuals are.
     pub covariance: Vec<Vec<f64>>,
     /// Names of the marks used.
     pub marks: Vec<String>,

@@ -1,9 +1,11 @@
 //! `flight resect`: one frame placed by its points.
 
 use std::path::Path;
+use std::process::Command;
 
 use super::{Flight, Place, autoref, expect, json, text};
 use crate::common::data;
+use autoref_raster::crs::{Coordinate, Crs};
 use nalgebra::Vector3;
 use serde_json::Value;
 
@@ -228,6 +230,79 @@ fn a_camera_file_is_read_or_refused() {
          </OrientationConique>",
     );
     expect(&resect(&place.at("Ori/Orientation-f2.png.xml")), 0, &[]);
+    // A frame of half the size is of the same lens; of another shape it is of another camera.
+    let halves: String = place.flight.gcp_list().lines().fold(String::new(), |all, line| {
+        let words: Vec<String> = line
+            .split(' ')
+            .enumerate()
+            .map(|(i, word)| match word.parse::<f64>() {
+                Ok(px) if i == 3 || i == 4 => (px / 2.0).to_string(),
+                _ => word.to_string(),
+            })
+            .collect();
+        all + &words.join(" ") + "\n"
+    });
+    let halves = place.write("halves.txt", &halves);
+    let of_size = |size: &str| {
+        let some =
+            ["flight", "resect", "f2.png", "--gcps", text(&halves), "--camera", text(&own), "--size", size, "--json"];
+        autoref(&some, None, &[])
+    };
+    let output = of_size("240,240");
+    expect(&output, 0, &[]);
+    let f_px = json(&output)["f_px"].as_f64();
+    assert!(f_px.is_some_and(|f| (f - truth / 2.0).abs() < 1e-6), "{f_px:?}");
+    expect(&of_size("240,120"), 2, &["240 x 120", "480 x 480"]);
+    // MicMac's calibration in the folder of a frame is taken, and named.
+    std::fs::create_dir(place.at("beside")).expect("a folder");
+    place.write("beside/AutoCal_f.xml", &calibration("<ModNoDist/>"));
+    let beside = |frame: &str| {
+        Command::new(env!("CARGO_BIN_EXE_autoref-stream"))
+            .args(["flight", "resect", frame, "--gcps", text(&gcps), "--size", "480,480", "--json"])
+            .current_dir(place.at("beside"))
+            .output()
+            .expect("the program starts")
+    };
+    for output in ["f2.png", "./f2.png"].map(beside) {
+        expect(&output, 0, &[]);
+        let document = json(&output);
+        assert!(document["f_px"] == 500.0 && document["notes"].to_string().contains("AutoCal_f.xml"), "{document}");
+    }
     let grid = place.write("Ori/Grid.xml", &calibration("<ModGrid/>"));
     expect(&resect(&grid), 2, &["Grid.xml", "<ModGrid>", "FraserBasic"]);
+}
+
+/// OpenSfM's list has longitudes and latitudes: the frame is placed on their map, as by any other list of such.
+#[test]
+fn opensfms_points_are_on_the_map() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (east, north, up, f_px) = (574_800.0, 5_317_000.0, 1500.0, 2400.0);
+    let at = [(-300.0, -200.0, 510.0), (280.0, -150.0, 620.0), (250.0, 190.0, 540.0), (-260.0, 210.0, 600.0)];
+    let [utm, lon_lat] = [32632, 4326].map(|code| Crs::from_epsg(code).expect("known"));
+    let points = at.iter().enumerate().map(|(i, (e, n, h))| {
+        let mut place = [Coordinate { x: east + e, y: north + n, height: None }];
+        utm.transform(&mut place, &lon_lat, 10.0).expect("within");
+        let [x, y] = [e / (up - h), -n / (up - h)].map(|tangent| tangent * f_px / 3000.0);
+        serde_json::json!({
+            "id": format!("P{i}"),
+            "position": {"longitude": place[0].x, "latitude": place[0].y, "altitude": h},
+            "observations": [{"shot_id": "a.jpg", "projection": [x, y]}],
+        })
+    });
+    let list = folder.path().join("ground_control_points.json");
+    let points: Vec<Value> = points.collect();
+    std::fs::write(&list, serde_json::json!({"points": points}).to_string()).expect("writable");
+    let resect = |more: &[&str]| {
+        let some =
+            ["flight", "resect", "a.jpg", "--gcps", text(&list), "--f-px", "2400", "--size", "3000,2000", "--json"];
+        autoref(&[&some, more].concat(), None, &[])
+    };
+    let output = resect(&[]);
+    expect(&output, 0, &[]);
+    let document = json(&output);
+    assert!(document["crs"].to_string().contains("32632"), "{document}");
+    let off = |key: &str, truth: f64| (document[key].as_f64().expect("a number") - truth).abs();
+    // A metre of the map is 0.9996 of one on the ground.
+    assert!(off("e", east) < 0.5 && off("n", north) < 0.5 && off("h", up) < 1.0, "{document}");
+    expect(&resect(&["--crs", "EPSG:2263"]), 2, &["WGS 84", "--crs has no effect"]);
 }

@@ -99,6 +99,16 @@ pub fn same_image<'a>(name: &str, names: impl Iterator<Item = &'a str> + Clone) 
 /// When nothing that is known lies there, or it is broken.
 pub fn reconstruction(path: &Path) -> Result<Reconstruction> {
     let model = any_reconstruction(path)?;
+    let mut names: Vec<&str> = model.photographs.iter().map(|p| p.name.as_str()).collect();
+    names.sort_unstable();
+    if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+        let place = format!("the frame `{}`", pair[0]);
+        return Err(Error::format(
+            path,
+            place,
+            "two images bear this name; a frame has one place: take one of them out",
+        ));
+    }
     match model.photographs.iter().find(|p| p.pose.centre.iter().any(|v| v.is_nan() || v.abs() >= FARTHEST)) {
         Some(astray) => Err(Error::format(
             path,

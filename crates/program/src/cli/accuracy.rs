@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use autoref_raster::error::Error;
 use autoref_solve::accuracy::{self, CheckError, CornerError, StatementOptions};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::{GcpList, GcpRole};
@@ -27,6 +28,17 @@ pub struct AccuracyArgs {
 fn positive(text: &str) -> Result<f64, String> {
     let number = text.trim().trim_end_matches('m').trim().parse::<f64>().ok();
     number.filter(|v| *v > 0.0 && v.is_finite()).ok_or_else(|| format!("`{text}` is no positive length in metres"))
+}
+
+/// Refuses a figure of check points where there are none.
+pub fn check_nssda(args: &AccuracyArgs, list: &GcpList) -> Result<(), Error> {
+    if args.nssda && !list.gcps.iter().any(|gcp| gcp.role == GcpRole::Check) {
+        return Err(Error::usage(
+            "--nssda has no effect: no point is a check point",
+            "name some with --check, or leave out --nssda",
+        ));
+    }
+    Ok(())
 }
 
 /// Adds statement and expected errors to a solved result. `size_px` is the image's.

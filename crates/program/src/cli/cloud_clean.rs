@@ -101,6 +101,24 @@ enum Written {
 }
 
 impl CleanArgs {
+    /// Refuses classes that no step finds.
+    fn check_drop(&self) -> anyhow::Result<()> {
+        let asks = |class: &str| self.drop.iter().any(|name| name.trim() == class);
+        let of_noise = [&self.z, &self.range_from, &self.crop, &self.outliers, &self.radius, &self.low, &self.isolated];
+        if asks("noise") && of_noise.iter().all(|step| step.is_empty()) {
+            bail!(
+                "--drop noise has no effect: no step finds noise, and points that the cloud itself calls noise stay; add a \
+                 step such as --outliers, or leave noise out of --drop"
+            );
+        }
+        if asks("object") && self.ground.is_empty() {
+            bail!(
+                "--drop object has no effect where --ground is not given; give --ground, or leave object out of --drop"
+            );
+        }
+        Ok(())
+    }
+
     /// Names and values of the steps in the order of the command line.
     fn in_order(&self) -> Vec<(&'static str, String)> {
         // The parser has the places of the values; the derived struct does not.
@@ -218,6 +236,7 @@ pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
             bail!("--drop: `{name}` is no class; choose among noise and object");
         }
     }
+    args.check_drop()?;
     let Begun { asked, of_clouds } = args.means.begin(&args.clouds)?;
     let written = args.steps(of_clouds.as_ref())?;
     let (targets, _folder) = args.targets()?;

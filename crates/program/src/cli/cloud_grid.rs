@@ -42,9 +42,9 @@ pub struct GridArgs {
     #[arg(long, value_name = "R|NAME=R,…")]
     radius: Option<String>,
     /// Window that fills holes: its width in cells when odd (5 is 5 × 5), cells to each side when even (2 is 5 × 5, as
-    /// PDAL's window_size); 0 fills none.
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(0..=201))]
-    fill: u16,
+    /// PDAL's window_size); 0 fills none. Default: 5.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=201))]
+    fill: Option<u16>,
     /// Exponent of the inverse distance, in idw and when holes are filled. Default: 1.
     #[arg(long, value_name = "P")]
     power: Option<f64>,
@@ -101,10 +101,22 @@ impl GridArgs {
     }
 }
 
+/// Width of the window that fills holes, cells.
+const USUAL_FILL: u16 = 5;
 /// Inverse distances without a power.
 const PLAIN_POWER: f64 = 1.0;
 
 impl GridArgs {
+    /// The window that fills holes; an error where it would change nothing.
+    fn fill_for(&self, stats: &[(String, Stat)]) -> anyhow::Result<usize> {
+        if self.fill.is_some() && stats.iter().all(|(_, stat)| *stat == Stat::Count) {
+            bail!(
+                "--fill has no effect: no --stat but count is asked for, and counts are not filled; leave --fill out"
+            );
+        }
+        Ok(usize::from(self.fill.unwrap_or(USUAL_FILL)))
+    }
+
     /// The power of inverse distances; an error where it would change nothing.
     fn power_for(&self, stats: &[(String, Stat)]) -> anyhow::Result<f64> {
         let Some(power) = self.power else { return Ok(PLAIN_POWER) };
@@ -112,7 +124,7 @@ impl GridArgs {
             bail!("--power: {power} is not above 0 and at most 10; 1 to 3 are usual");
         }
         // A window of one cell has no other cell in it, and counts are not filled.
-        let fills = self.fill > 1 && stats.iter().any(|(_, stat)| *stat != Stat::Count);
+        let fills = self.fill.unwrap_or(USUAL_FILL) > 1 && stats.iter().any(|(_, stat)| *stat != Stat::Count);
         if (!fills || self.like_pdal) && stats.iter().all(|(_, stat)| *stat != Stat::Idw) {
             bail!(
                 "--power has no effect: no --stat is idw, and holes are {}; add idw to --stat, or leave --power out",
@@ -144,6 +156,7 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
         stats.push((name, stat));
     }
     let power = args.power_for(&stats)?;
+    let fill = args.fill_for(&stats)?;
     let cameras = args.range_from.as_deref().map(Cameras::read).transpose()?;
     let dimensions = args.dimensions()?;
     if args.range_from.is_some() && dimensions.iter().all(|dimension| dimension.name != "range") {
@@ -151,7 +164,6 @@ pub fn run(args: &GridArgs) -> anyhow::Result<ExitCode> {
     }
     let crs_wkt = args.means.begin(&args.clouds)?.asked.map(|crs| crs.wkt().to_string());
     let _folder = OutputFolder::make(&args.output)?;
-    let fill = usize::from(args.fill);
     let mut options = Options {
         cell_m: args.cell,
         stats,

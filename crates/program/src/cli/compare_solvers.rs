@@ -9,13 +9,14 @@ use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::absolute::{self, PointPair};
 use autoref_solve::partial::{self, ControlPoint, Known};
 use autoref_solve::{Pair, planar, similarity};
+use autoref_stream::georef::spreadsheet::Spreadsheet;
 use autoref_stream::result::RunResult;
 use clap::Args;
 use nalgebra::{Matrix3, Vector3};
 use serde_json::{Value, json};
 
 use crate::cli::residual_analysis::{Residual, analyse};
-use crate::cli::run::{self, RunArgs};
+use crate::cli::run::{self, LookArgs};
 use crate::cli::solving::{SolverArg, flat};
 use autoref_raster::words::counted;
 
@@ -28,7 +29,7 @@ use autoref_raster::words::counted;
 #[derive(Args, Debug)]
 pub struct CompareArgs {
     #[command(flatten)]
-    run: RunArgs,
+    look: LookArgs,
     /// Leave out this share of the smallest and of the largest residuals in histograms, tests of normality and
     /// correlations of magnitudes; 0.1 as in the 2016 thesis.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, value_parser = share, help_heading = "Analysis")]
@@ -52,20 +53,20 @@ struct Row {
 }
 
 pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
-    let input = args.run.image.as_deref().context("no image: name an image, a result or a table of matched points")?;
+    let input = args.look.image.as_deref().context("no image: name an image, a result or a table of matched points")?;
     let ends = |end: &str| input.extension().is_some_and(|e| e.eq_ignore_ascii_case(end));
     let (rows, from) = if ends("json") {
         (of_result(&RunResult::read(input)?, input)?, "result")
     } else if ends("csv") {
         (of_table(input)?, "table")
     } else {
-        let result = run::first_look(&args.run)?;
+        let result = run::first_look(&args.look)?;
         if let Some(refused) = result.refused() {
             let reason = &refused.reason;
-            if args.run.json {
+            if args.look.json {
                 let document = json!({"input": input.display().to_string(), "status": "refused", "reason": reason});
                 println!("{}", serde_json::to_string_pretty(&document)?);
-            } else {
+            } else if !args.look.quiet {
                 println!("Not solved          {reason}");
             }
             return Ok(ExitCode::from(1));
@@ -79,7 +80,7 @@ pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
             value["analysis"] = analysis;
         }
     }
-    if args.run.json {
+    if args.look.json {
         let document = json!({
             "input": input.display().to_string(),
             "from": from,
@@ -89,7 +90,7 @@ pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
             "solvers": solvers,
         });
         println!("{}", serde_json::to_string_pretty(&document)?);
-    } else {
+    } else if !args.look.quiet {
         print(&solvers);
     }
     Ok(ExitCode::SUCCESS)
@@ -147,8 +148,8 @@ fn of_result(result: &RunResult, path: &Path) -> anyhow::Result<Vec<Row>> {
 }
 
 fn of_table(path: &Path) -> anyhow::Result<Vec<Row>> {
-    let bytes = autoref_raster::bounded::read(path, "a table of matched points", 32 << 20)?;
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(bytes.as_slice());
+    let table = Spreadsheet::read(path, "a table of matched points", 32 << 20)?;
+    let mut reader = table.reader();
     let unreadable = |place: &str, e: csv::Error| Error::format(path, place, e.to_string());
     let headers = reader.headers().map_err(|e| unreadable("row 1", e))?.clone();
     let column =
@@ -167,13 +168,15 @@ fn of_table(path: &Path) -> anyhow::Result<Vec<Row>> {
     }
     let mut rows = Vec::new();
     for (i, record) in reader.records().enumerate() {
-        let place = format!("row {}", i + 2);
+        let place = format!("row {}", table.row(i));
         let record = record.map_err(|e| unreadable(&place, e))?;
         let text = |title: &str| column(title).and_then(|c| record.get(c)).filter(|t| !t.is_empty());
         let number = |title: &str| -> Result<Option<f64>, Error> {
             let Some(text) = text(title) else { return Ok(None) };
-            let value = text.parse::<f64>().ok().filter(|v| v.is_finite());
-            value.map(Some).ok_or_else(|| Error::format(path, &place, format!("`{text}` is no number for {title}")))
+            table
+                .number(text)
+                .map(Some)
+                .ok_or_else(|| Error::format(path, &place, format!("`{text}` is no number for {title}")))
         };
         let (Some(x), Some(y)) = (number("x")?, number("y")?) else {
             return Err(Error::format(path, &place, "x and y are needed; complete or remove the row").into());
@@ -215,7 +218,13 @@ fn compare(rows: &[Row]) -> Vec<Value> {
     let mut out = vec![weighted(&pairs, &names)];
     let level = flat(&pairs);
     for solver in SolverArg::ALL {
-        out.push(entry(Space::Plane, solver.json_name(), "pixels to metres", &names, &level, solver.in_space(&level)));
+        let solved = solver.in_space(&level);
+        // A rotation in space turns a plane over where its points are a mirror image.
+        if solved.as_ref().is_ok_and(|(orientation, _)| orientation.rotation[(2, 2)] <= 0.0) {
+            out.push(failed(Space::Plane, solver.json_name(), "pixels to metres", "the points are a mirror image"));
+            continue;
+        }
+        out.push(entry(Space::Plane, solver.json_name(), "pixels to metres", &names, &level, solved));
     }
     for (kind, name) in [(planar::Kind::Affine, "Affine"), (planar::Kind::Projective, "Projective")] {
         out.push(match planar::fit(&pairs, kind) {

@@ -40,11 +40,11 @@ enum DemCommand {
     /// Aspect, in degrees from north by east.
     Aspect(GradientArgs),
     /// Largest difference within 3 x 3 cells.
-    Roughness(DrawArgs),
+    Roughness(NeighbourArgs),
     /// Terrain ruggedness index.
     Tri(TriArgs),
     /// Topographic position index.
-    Tpi(DrawArgs),
+    Tpi(NeighbourArgs),
     /// Contour lines as GeoPackage, GeoJSON or Shapefile.
     Contour(ContourArgs),
     /// Heights along a line over several models, as CSV.
@@ -61,9 +61,23 @@ pub struct ResourceArgs {
     /// Side of the tiles, in cells. Default: chosen from the files' layout and --memory.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1_000_000), help_heading = "Resources")]
     tile: Option<u64>,
+    #[command(flatten)]
+    workers: WorkerArgs,
+}
+
+/// What a command may take that has no tiles.
+#[derive(Args, Debug, Clone)]
+struct WorkerArgs {
     /// Number of working threads. Default: one for each core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1024), help_heading = "Resources")]
     threads: Option<u64>,
+    #[command(flatten)]
+    memory: MemoryArgs,
+}
+
+/// What a command may take that works on one thread.
+#[derive(Args, Debug, Clone)]
+struct MemoryArgs {
     /// Bound on the peak resident memory: bytes, or with K, M or G. At least 112M.
     #[arg(long, value_name = "SIZE", default_value = "512M", help_heading = "Resources")]
     memory: Bytes,
@@ -71,12 +85,20 @@ pub struct ResourceArgs {
 
 impl ResourceArgs {
     pub fn resources(&self) -> Resources {
+        Resources { tile_px: self.tile, ..self.workers.resources() }
+    }
+}
+
+impl WorkerArgs {
+    fn resources(&self) -> Resources {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        Resources {
-            tile_px: self.tile,
-            threads: self.threads.map_or(cores, |n| n as usize),
-            memory_budget_bytes: self.memory.0,
-        }
+        Resources { threads: self.threads.map_or(cores, |n| n as usize), ..self.memory.resources() }
+    }
+}
+
+impl MemoryArgs {
+    fn resources(&self) -> Resources {
+        Resources { tile_px: None, threads: 1, memory_budget_bytes: self.memory.0 }
     }
 }
 
@@ -139,14 +161,35 @@ struct DrawArgs {
     /// The GeoTIFF to write.
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
-    /// Compute the cells at the border and beside cells without a height, too.
-    #[arg(long)]
-    compute_edges: bool,
     /// Replace the output when it exists.
     #[arg(long)]
     overwrite: bool,
+}
+
+/// A drawing that looks at the neighbours of a cell.
+#[derive(Args, Debug)]
+struct EdgeArgs {
+    /// Compute the cells at the border and beside cells without a height, too.
+    #[arg(long)]
+    compute_edges: bool,
+}
+
+/// A drawing by GDAL's functions from 3 × 3 cells.
+#[derive(Args, Debug)]
+struct NeighbourArgs {
     #[command(flatten)]
-    resources: ResourceArgs,
+    draw: DrawArgs,
+    #[command(flatten)]
+    edges: EdgeArgs,
+    #[command(flatten)]
+    resources: MemoryArgs,
+}
+
+impl EdgeArgs {
+    /// The option of gdaldem.
+    fn option(&self) -> Option<String> {
+        self.compute_edges.then(|| "-compute_edges".into())
+    }
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -159,6 +202,10 @@ enum GradientArg {
 struct GradientArgs {
     #[command(flatten)]
     draw: DrawArgs,
+    #[command(flatten)]
+    edges: EdgeArgs,
+    #[command(flatten)]
+    resources: WorkerArgs,
     /// How the gradient is taken.
     #[arg(long, value_enum, default_value = "horn")]
     alg: GradientArg,
@@ -200,7 +247,7 @@ enum TriArg {
 #[derive(Args, Debug)]
 struct TriArgs {
     #[command(flatten)]
-    draw: DrawArgs,
+    draw: NeighbourArgs,
     /// After Riley (terrestrial) or Wilson (bathymetric).
     #[arg(long, value_enum, default_value = "riley")]
     alg: TriArg,
@@ -223,7 +270,7 @@ struct ContourArgs {
     #[arg(long)]
     overwrite: bool,
     #[command(flatten)]
-    resources: ResourceArgs,
+    resources: MemoryArgs,
 }
 
 #[derive(Args, Debug)]
@@ -298,13 +345,15 @@ struct ResampleArgs {
     #[arg(long)]
     overwrite: bool,
     #[command(flatten)]
-    resources: ResourceArgs,
+    resources: WorkerArgs,
 }
 
 #[derive(Args, Debug)]
 struct ColourArgs {
     #[command(flatten)]
     draw: DrawArgs,
+    #[command(flatten)]
+    resources: MemoryArgs,
     /// Table of heights and colours, as gdaldem color-relief takes it.
     #[arg(long, value_name = "FILE")]
     table: PathBuf,
@@ -324,15 +373,15 @@ pub fn run(args: &DemArgs) -> anyhow::Result<ExitCode> {
             draw_gradient(&args.gradient, "slope", options, picture)?;
         }
         DemCommand::Aspect(args) => draw_gradient(args, "aspect", gradient_options(args), Picture::Aspect)?,
-        DemCommand::Roughness(args) => draw(args, "roughness", Vec::new(), None)?,
+        DemCommand::Roughness(args) => draw_neighbours(args, "roughness", Vec::new())?,
         DemCommand::Tri(args) => {
             let alg = match args.alg {
                 TriArg::Riley => "Riley",
                 TriArg::Wilson => "Wilson",
             };
-            draw(&args.draw, "TRI", vec!["-alg".into(), alg.into()], None)?;
+            draw_neighbours(&args.draw, "TRI", vec!["-alg".into(), alg.into()])?;
         }
-        DemCommand::Tpi(args) => draw(args, "TPI", Vec::new(), None)?,
+        DemCommand::Tpi(args) => draw_neighbours(args, "TPI", Vec::new())?,
         DemCommand::Contour(args) => {
             atomic::check_outputs(&[&args.out], Existing::of_flag(args.overwrite))?;
             derive::line_driver(&args.out)?;
@@ -352,7 +401,9 @@ pub fn run(args: &DemArgs) -> anyhow::Result<ExitCode> {
         }
         DemCommand::Profile(args) => line(args)?,
         DemCommand::Resample(args) => resample(args)?,
-        DemCommand::Colour(args) => draw(&args.draw, "color-relief", Vec::new(), Some(&args.table))?,
+        DemCommand::Colour(args) => {
+            draw(&args.draw, &args.resources, "color-relief", Vec::new(), Some(&args.table))?;
+        }
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -476,17 +527,18 @@ fn draw_gradient(args: &GradientArgs, kind: &str, options: Vec<String>, picture:
         eprintln!("autoref-stream: {doubt}");
     }
     if !gradient::needs_true_sides(&args.draw.model, picture)? {
-        return draw(&args.draw, kind, options, None);
+        let options = options.into_iter().chain(args.edges.option()).collect();
+        return draw(&args.draw, &args.resources.memory, kind, options, None);
     }
     output::check(&[&args.draw.out], Existing::of_flag(args.draw.overwrite))?;
-    let resources = args.draw.resources.resources();
+    let resources = args.resources.resources();
     resources.check()?;
     derive::check_heights(&args.draw.model)?;
     let kernel = match args.alg {
         GradientArg::Horn => Kernel::Horn,
         GradientArg::ZevenbergenThorne => Kernel::ZevenbergenThorne,
     };
-    let edges = if args.draw.compute_edges { Edges::Extrapolated } else { Edges::LeftOut };
+    let edges = if args.edges.compute_edges { Edges::Extrapolated } else { Edges::LeftOut };
     atomic::with_temporary(&args.draw.out, |path| {
         gradient::draw(&args.draw.model, path, picture, kernel, edges, resources.threads)
     })?;
@@ -494,13 +546,22 @@ fn draw_gradient(args: &GradientArgs, kind: &str, options: Vec<String>, picture:
     Ok(())
 }
 
-fn draw(args: &DrawArgs, kind: &str, mut options: Vec<String>, colours: Option<&Path>) -> anyhow::Result<()> {
+/// The same where the edges may be computed.
+fn draw_neighbours(args: &NeighbourArgs, kind: &str, options: Vec<String>) -> anyhow::Result<()> {
+    let options = options.into_iter().chain(args.edges.option()).collect();
+    draw(&args.draw, &args.resources, kind, options, None)
+}
+
+fn draw(
+    args: &DrawArgs,
+    memory: &MemoryArgs,
+    kind: &str,
+    options: Vec<String>,
+    colours: Option<&Path>,
+) -> anyhow::Result<()> {
     output::check(&[&args.out], Existing::of_flag(args.overwrite))?;
-    let resources = args.resources.resources();
+    let resources = memory.resources();
     resources.check()?;
-    if args.compute_edges {
-        options.push("-compute_edges".into());
-    }
     derive::check_heights(&args.model)?;
     let memory_budget_bytes = resources.memory_budget_bytes;
     let drawing = Drawing { kind, options, colours, memory_budget_bytes };
@@ -546,7 +607,9 @@ fn resample(args: &ResampleArgs) -> anyhow::Result<()> {
     let outs: Vec<PathBuf> =
         args.resolution.iter().map(|r| PathBuf::from(args.out.replace("{res}", &r.to_string()))).collect();
     output::check(&outs.iter().map(PathBuf::as_path).collect::<Vec<_>>(), Existing::of_flag(args.overwrite))?;
-    args.resources.resources().check()?;
+    let resources = args.resources.resources();
+    resources.check()?;
+    let threads = format!("NUM_THREADS={}", resources.threads);
     derive::check_heights(&args.model)?;
     derive::check_resampling(&args.model, &args.resampling)?;
     args.resolution.iter().try_for_each(|side| derive::check_resolution(&args.model, *side))?;
@@ -562,6 +625,8 @@ fn resample(args: &ResampleArgs) -> anyhow::Result<()> {
                 "-tap",
                 "-r",
                 &args.resampling,
+                "-wo",
+                &threads,
                 "-co",
                 "COMPRESS=DEFLATE",
                 "-co",

@@ -170,7 +170,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     check_resect_numbers(args)?;
     check_output(args.output.as_deref(), Existing::of_flag(args.overwrite))?;
     let name = args.frame.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-    let (camera, known) = frame_camera(args, &name)?;
+    let FrameCamera { camera, focal, note } = frame_camera(args, &name)?;
     let stub = Reconstruction {
         cameras: vec![camera.clone()],
         photographs: vec![read::Photograph {
@@ -185,6 +185,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     control.named_checks(&args.points)?;
     let mut points = control.in_world(&world, &stub, &args.points)?;
     let mut notes = plausible::within_frames(&mut points, &stub, &args.points.gcps.display().to_string())?;
+    notes.extend(note);
     let (seen, checks) = seen_points(args, &name, &control, &points)?;
     let options = ResectOptions {
         sigma_px: args.points.how.sigma_image,
@@ -195,7 +196,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
             }
             None => None,
         },
-        focal: if known { Focal::Known } else { Focal::Sought },
+        focal,
         ..ResectOptions::default()
     };
     let found = resect(&camera, &seen, &options)?;
@@ -273,38 +274,59 @@ fn seen_points(
     Ok((seen, checks))
 }
 
-/// The camera of the frame and whether its focal length is known.
-fn frame_camera(args: &ResectArgs, name: &str) -> Result<(Camera, bool)> {
-    let beside = || {
-        let folder = args.frame.parent()?;
-        let entries = std::fs::read_dir(folder).ok()?;
-        let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
-        files.sort();
-        let calibrations: Vec<PathBuf> = files
-            .into_iter()
-            .filter(|p| {
-                let n = p.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-                n.ends_with(".xml") && (n.starts_with("AutoCal") || n.starts_with("Calib-"))
-            })
-            .collect();
-        (calibrations.len() == 1).then(|| calibrations[0].clone())
+/// The camera of a frame.
+struct FrameCamera {
+    camera: Camera,
+    focal: Focal,
+    note: Option<String>,
+}
+
+/// MicMac's calibration in the folder of a frame, where there is one alone.
+fn calibration_beside(frame: &Path) -> Option<PathBuf> {
+    let folder = frame.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let is_calibration = |path: &PathBuf| {
+        let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        name.ends_with(".xml") && (name.starts_with("AutoCal") || name.starts_with("Calib-"))
     };
-    let file = args.camera.clone().or_else(|| if args.f_px.is_none() { beside() } else { None });
-    let mut known = true;
-    let mut camera = match file {
-        Some(path) => camera_file(&path, name)?,
+    let entries = std::fs::read_dir(folder).ok()?;
+    let mut calibrations = entries.flatten().map(|entry| entry.path()).filter(is_calibration);
+    calibrations.next().filter(|_| calibrations.next().is_none())
+}
+
+fn frame_camera(args: &ResectArgs, name: &str) -> Result<FrameCamera> {
+    let beside = calibration_beside(&args.frame).filter(|_| args.camera.is_none() && args.f_px.is_none());
+    let note =
+        beside.as_ref().map(|file| format!("the camera is that of {}, which lies beside the frame", file.display()));
+    if let Some(note) = &note {
+        tracing::warn!("{note}");
+    }
+    let stated = args.size.as_ref().map(|s| [s[0], s[1]]);
+    let seen = args.frame.is_file().then(|| image_size(&args.frame, None)).transpose()?;
+    if let (Some([w, h]), Some([width, height])) = (stated, seen)
+        && [w, h] != [width, height]
+    {
+        bail!("--size {w},{h}, but {} has {width} × {height} px; leave --size out", args.frame.display());
+    }
+    let (mut camera, focal) = match args.camera.clone().or(beside) {
+        Some(path) => {
+            let mut camera = camera_file(&path, name)?;
+            if let Some(size) = seen.or(stated) {
+                ortho::resize(&mut camera, &args.frame, size)?;
+            }
+            (camera, Focal::Known)
+        }
         None => {
-            let size = match &args.size {
-                Some(s) => [s[0], s[1]],
+            let size = match seen.or(stated) {
+                Some(size) => size,
                 None => image_size(&args.frame, args.pp_px.as_deref())?,
             };
-            known = args.f_px.is_some();
+            let focal = if args.f_px.is_some() { Focal::Known } else { Focal::Sought };
             let f = args.f_px.unwrap_or(size[0].max(size[1]));
-            Camera::pinhole(name, size, f, [size[0] / 2.0, size[1] / 2.0])
+            (Camera::pinhole(name, size, f, [size[0] / 2.0, size[1] / 2.0]), focal)
         }
     };
     set_interior(&mut camera, &args.frame, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
-    Ok((camera, known))
+    Ok(FrameCamera { camera, focal, note })
 }
 
 /// The interior that the command line states of a frame.

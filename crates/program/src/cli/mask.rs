@@ -233,9 +233,9 @@ impl MaskArgs {
     }
 }
 
-/// Says which frames were mended that are not among those of this run: their names may have changed.
-fn tell_mended_elsewhere(mended: &[Shape], frames: &[PathBuf]) {
-    let mut elsewhere: Vec<&str> = mended
+/// Says of which frames shapes are that are not among those of this run: their names may have changed.
+fn tell_of_no_frame(option: &str, shapes: &[Shape], frames: &[PathBuf]) {
+    let mut elsewhere: Vec<&str> = shapes
         .iter()
         .filter(|shape| !frames.iter().any(|frame| shape.is_of(frame)))
         .filter_map(|shape| shape.frame.as_deref())
@@ -244,7 +244,7 @@ fn tell_mended_elsewhere(mended: &[Shape], frames: &[PathBuf]) {
     elsewhere.dedup();
     if let [first, rest @ ..] = &elsewhere[..] {
         let more = if rest.is_empty() { String::new() } else { format!(" and {} more", rest.len()) };
-        tracing::warn!("--mend: what was drawn in {first}{more} is of no frame of this run");
+        tracing::warn!("{option}: what was drawn in {first}{more} is of no frame of this run");
     }
 }
 
@@ -308,7 +308,8 @@ pub fn run(args: &MaskArgs) -> anyhow::Result<ExitCode> {
     let camera = args.camera.prepare()?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads(args.threads)).build()?;
     pool.install(|| {
-        tell_mended_elsewhere(&given.mended, &frames);
+        tell_of_no_frame("--mend", &given.mended, &frames);
+        tell_of_no_frame("--global", &given.global, &frames);
         let taught = teach(&frames, &given, &options)?;
         let _folder = OutputFolder::make(&args.output)?;
         let bar = if args.quiet || args.json { ProgressBar::hidden() } else { ProgressBar::new(frames.len() as u64) };

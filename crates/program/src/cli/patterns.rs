@@ -87,6 +87,12 @@ impl PatternArgs {
                 bail!("{flag} takes a positive number");
             }
         }
+        if let Some(least) = self.tpp_least.filter(|least| *least >= self.tpp_minimum) {
+            bail!(
+                "--tpp-least {least} has no effect: --tpp-minimum is {} already; give fewer points, or leave it out",
+                self.tpp_minimum
+            );
+        }
         let space = match (self.tpp_heights, gsd) {
             (false, _) => Space::Plane,
             (true, Some(gsd)) => Space::Solid { gsd_m: (gsd.0 + gsd.1) / 2.0 },

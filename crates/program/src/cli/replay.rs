@@ -61,6 +61,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
             effort: Effort::default(),
         })),
     };
+    accuracy::check_nssda(&args.gcps.accuracy, &list)?;
     let mut document = Document::new(&list, Path::new(&recorded.gcp_file), &outcome, recorded.candidates.clone());
     let result = &mut document.result;
     result.options = recorded.options.clone();

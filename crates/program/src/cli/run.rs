@@ -38,6 +38,22 @@ use crate::cli::{accuracy, diagnosis};
 /// Flags of the main job.
 #[derive(Args, Debug)]
 pub struct RunArgs {
+    #[command(flatten)]
+    pub look: LookArgs,
+    #[command(flatten)]
+    pub write: WriteArgs,
+    #[command(flatten)]
+    pub report: ReportArgs,
+    /// Learn the marks from what was found and look again: never; when points stay unmatched or nothing is solved; or
+    /// always, by a second scan. Without a word it is `always`.
+    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto", default_missing_value = "always", num_args = 0..=1,
+        require_equals = true, help_heading = "Marks")]
+    pub second_pass: SecondPassArg,
+}
+
+/// What a look at the image needs that finds the marks, matches and solves.
+#[derive(Args, Debug)]
+pub struct LookArgs {
     /// The orthophoto: any raster that GDAL opens.
     // An option only because a subcommand does without; clap demands it otherwise.
     #[arg(required = true)]
@@ -52,18 +68,9 @@ pub struct RunArgs {
     pub matching: MatchArgs,
     #[command(flatten)]
     pub solving: SolvingArgs,
-    #[command(flatten)]
-    pub write: WriteArgs,
-    #[command(flatten)]
-    pub report: ReportArgs,
     /// Print the result as one JSON document on standard output; all else goes to stderr.
     #[arg(long, help_heading = "Output")]
     pub json: bool,
-    /// Learn the marks from what was found and look again: never; when points stay unmatched or nothing is solved; or
-    /// always, by a second scan. Without a word it is `always`.
-    #[arg(long, value_enum, value_name = "WHEN", default_value = "auto", default_missing_value = "always", num_args = 0..=1,
-        require_equals = true, help_heading = "Marks")]
-    pub second_pass: SecondPassArg,
     /// Look again, in a window of its own, where every point must be: always; or never, so that the first match stands
     /// as it is (the tables of the 2016 thesis). `never` looks no second time in any other way either.
     #[arg(long, value_enum, value_name = "WHEN", default_value = "always", help_heading = "Matching")]
@@ -100,7 +107,7 @@ impl RefineArg {
 }
 
 /// Scans, matches and solves as [`run`] does at its first look, and writes nothing.
-pub fn first_look(args: &RunArgs) -> anyhow::Result<RunResult> {
+pub fn first_look(args: &LookArgs) -> anyhow::Result<RunResult> {
     autoref_raster::initialise_gdal(memory_plan::cache_share_bytes(args.read.memory.0));
     let image = args.image.as_deref().context("no image: name one")?;
     let gcp_file = args.gcps.path()?;
@@ -137,16 +144,23 @@ pub fn first_look(args: &RunArgs) -> anyhow::Result<RunResult> {
 
 pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let started = Instant::now();
-    autoref_raster::initialise_gdal(memory_plan::cache_share_bytes(args.read.memory.0));
-    let image = args.image.as_deref().context("no image: name one")?;
-    let gcp_file = args.gcps.path()?;
-    let marks = args.paint.of(&args.marks);
+    autoref_raster::initialise_gdal(memory_plan::cache_share_bytes(args.look.read.memory.0));
+    let image = args.look.image.as_deref().context("no image: name one")?;
+    let gcp_file = args.look.gcps.path()?;
+    let marks = args.look.paint.of(&args.look.marks);
     let opening = tracing::info_span!("open").entered();
-    let Prepared { source, detector, plan, .. } = prepare::open(image, &args.read, &marks, args.matching.gsd)?;
-    let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
+    let Prepared { source, detector, plan, .. } =
+        prepare::open(image, &args.look.read, &marks, args.look.matching.gsd)?;
+    let list = gcp::read(gcp_file, &args.look.gcps.options(Some(source.info())))?;
+    accuracy::check_nssda(&args.look.gcps.accuracy, &list)?;
     drop(opening);
     let _folder = args.write.folder()?;
-    let request = args.write.request(image, args.read.page, args.read.memory.0, prepare::threads(args.read.threads))?;
+    let request = args.write.request(
+        image,
+        args.look.read.page,
+        args.look.read.memory.0,
+        prepare::threads(args.look.read.threads),
+    )?;
     request.check_local(list.crs.as_ref())?;
     dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
     let json = json_path(&request);
@@ -154,14 +168,14 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let existing = Existing::of_flag(args.write.overwrite);
     let outputs: Vec<&Path> = [Some(&json), report.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
     atomic::check_outputs(&outputs, existing)?;
-    args.solving.check(existing)?;
+    args.look.solving.check(existing)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
-    let priors = prepare::priors(info, &args.matching);
+    let priors = prepare::priors(info, &args.look.matching);
     let looks = args.looks(&detector)?;
-    let time_limit = args.matching.limit();
-    let matchers = Matchers::of(&args.matching, info, priors.len(), list.gcps.len(), looks, &time_limit)?;
-    let bar = Bar::new(info, args.quiet || args.json);
+    let time_limit = args.look.matching.limit();
+    let matchers = Matchers::of(&args.look.matching, info, priors.len(), list.gcps.len(), looks, &time_limit)?;
+    let bar = Bar::new(info, args.look.quiet || args.look.json);
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();
     let job = Job {
@@ -173,7 +187,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         matcher: matchers.first.as_ref(),
         priors: &priors,
         progress: &watch,
-        refine: args.refine.choice(),
+        refine: args.look.refine.choice(),
     };
     let mut looked = Looked { run: georeference(&job)?, second: None, colours: None };
     if looks == Looks::WithOtherColours {
@@ -190,11 +204,16 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.second_pass = second;
-    advise(&mut document.result, colours, &list.hints, (source.as_ref(), &args.paint.of(&args.marks).profile))?;
+    advise(
+        &mut document.result,
+        colours,
+        &list.hints,
+        (source.as_ref(), &args.look.paint.of(&args.look.marks).profile),
+    )?;
     document.result.memory_plan = Some(plan.clone());
     let place = solving::ImagePlace::of(info);
-    let dem = args.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
-    accuracy::state(&mut document.result, &list, &args.gcps.accuracy, (info.width as f64, info.height as f64));
+    let dem = args.look.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
+    accuracy::state(&mut document.result, &list, &args.look.gcps.accuracy, (info.width as f64, info.height as f64));
     working_crs::deliver(&mut document.result, &list, place.size_px)?;
     document.result.warnings.extend(plan.notes.iter().cloned());
     document.prior(info, &list);
@@ -205,8 +224,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     // Its caches make room for what writing needs.
     drop(source);
     let report = report.as_deref().zip(gathered.as_ref());
-    write_outputs(&request, &json, report, &mut document, started, args.quiet || args.json, dem)?;
-    print(&document.result, Printing { json: args.json, quiet: args.quiet });
+    write_outputs(&request, &json, report, &mut document, started, args.look.quiet || args.look.json, dem)?;
+    print(&document.result, Printing { json: args.look.json, quiet: args.look.quiet });
     Ok(document.exit_code())
 }
 
@@ -223,7 +242,7 @@ impl RunArgs {
     /// # Errors
     /// When a second pass is asked for that cannot be.
     fn looks(&self, detector: &MarkDetector) -> Result<Looks, Error> {
-        let cannot = match (detector, self.refine) {
+        let cannot = match (detector, self.look.refine) {
             (_, RefineArg::Never) => "with --refine never the image is looked at once",
             (MarkDetector::Paint(_), _) if self.second_pass == SecondPassArg::Never => return Ok(Looks::One),
             (MarkDetector::Paint(_), _) => return Ok(Looks::WithOtherColours),
@@ -275,7 +294,7 @@ fn diagnose(
     time_limit: &TimeLimit,
 ) {
     let known = diagnosis::known_place(info, list);
-    let (matching, forced) = ((&args.matching, time_limit), &args.gcps.working_crs.force);
+    let (matching, forced) = ((&args.look.matching, time_limit), &args.look.gcps.working_crs.force);
     tracing::info_span!("gross-error diagnosis").in_scope(|| {
         diagnosis::examine(&mut run.outcome, &run.scan.candidates, list, priors, known, matching, forced);
     });
@@ -355,24 +374,24 @@ fn json_path(request: &WriteRequest) -> PathBuf {
 
 fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
     serde_json::json!({
-        "profile": args.paint.of(&args.marks).profile,
+        "profile": args.look.paint.of(&args.look.marks).profile,
         "second_pass": word_of(args.second_pass),
-        "refine": word_of(args.refine),
-        "mark_size": args.marks.mark_size.map(|size| size.to_string()),
+        "refine": word_of(args.look.refine),
+        "mark_size": args.look.marks.mark_size.map(|size| size.to_string()),
         "priors": job.priors,
-        "max_false_alarms": args.matching.max_false_alarms,
-        "allow_mirrored": args.matching.allow_mirrored,
-        "tile": args.read.tile,
-        "threads": args.read.threads,
-        "memory_budget_bytes": args.read.memory.0,
-        "reader": args.read.reader.choice().name(),
-        "page": args.read.page,
+        "max_false_alarms": args.look.matching.max_false_alarms,
+        "allow_mirrored": args.look.matching.allow_mirrored,
+        "tile": args.look.read.tile,
+        "threads": args.look.read.threads,
+        "memory_budget_bytes": args.look.read.memory.0,
+        "reader": args.look.read.reader.choice().name(),
+        "page": args.look.read.page,
         "white": job.source.info().white,
         "halo_px": job.detector.halo_px(),
-        "check": args.gcps.check,
-        "accuracy": args.gcps.accuracy.accuracy,
-        "accuracy_class_m": args.gcps.accuracy.accuracy_class,
-        "names": args.gcps.names,
+        "check": args.look.gcps.check,
+        "accuracy": args.look.gcps.accuracy.accuracy,
+        "accuracy_class_m": args.look.gcps.accuracy.accuracy_class,
+        "names": args.look.gcps.names,
     })
 }
 

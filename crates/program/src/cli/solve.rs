@@ -74,6 +74,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     }
     args.solving.check(Existing::of_flag(args.overwrite))?;
     let list = gcp::read(args.gcps.path()?, &args.gcps.options(None))?;
+    accuracy::check_nssda(&args.gcps.accuracy, &list)?;
     let candidates = candidate_list::read_csv(&args.candidates)?;
     let priors = Priors {
         gsd_m_per_px: args.matching.gsd.map(|g| (g.0, g.1)),

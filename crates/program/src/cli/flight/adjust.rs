@@ -44,9 +44,9 @@ pub struct AdjustArgs {
     /// 1σ of rough positions whose table states none. Default: 200 m beside GCPs, 20 m where they place the block.
     #[arg(long, value_name = "M", requires = "cameras")]
     sigma_position: Option<f64>,
-    /// 1σ of rough directions.
-    #[arg(long, value_name = "DEG", default_value_t = 2.0, requires = "cameras")]
-    sigma_direction: f64,
+    /// 1σ of rough directions. Default: 2 degrees.
+    #[arg(long, value_name = "DEG", requires = "cameras")]
+    sigma_direction: Option<f64>,
     /// Where to write cameras.json.
     #[arg(short, long, value_name = "JSON")]
     output: Option<PathBuf>,
@@ -89,6 +89,8 @@ struct Datum {
 
 /// 1σ of positions of a table that states none, metres: beside GCPs, and where they place the block alone.
 const SIGMA_BESIDE_GCPS_M: f64 = 200.0;
+/// 1σ of rough directions, degrees.
+const SIGMA_DIRECTION_DEG: f64 = 2.0;
 const SIGMA_ALONE_M: f64 = 20.0;
 
 impl Datum {
@@ -155,9 +157,22 @@ impl Datum {
         self.notes.extend(camera_tables::unmatched(rows, table, &names)?);
         let alone = if self.points.is_empty() { SIGMA_ALONE_M } else { SIGMA_BESIDE_GCPS_M };
         let sigma_m = args.sigma_position.unwrap_or(alone);
+        let sigma_direction_deg = args.sigma_direction.unwrap_or(SIGMA_DIRECTION_DEG);
+        let states_all = |row: &CameraRow| row.sigma_m.iter().all(Option::is_some);
+        let needless = [
+            (
+                "direction",
+                args.sigma_direction.is_some() && !rows.iter().any(CameraRow::is_directed),
+                "states no direction",
+            ),
+            ("position", args.sigma_position.is_some() && rows.iter().all(states_all), "states its own in every row"),
+        ];
+        if let Some((of, _, why)) = needless.into_iter().find(|(_, is, _)| *is) {
+            bail!("{}: {why}, and --sigma-{of} has no effect; leave it out", table.display());
+        }
         for row in rows {
             if let Some(i) = model.find(&row.name) {
-                let sigma_rad = args.sigma_direction.to_radians();
+                let sigma_rad = sigma_direction_deg.to_radians();
                 self.rough[i] = camera_tables::rough_pose(row, &self.world, sigma_m, sigma_rad);
             }
         }
@@ -172,7 +187,6 @@ impl Datum {
 fn kept_datum(datum: &Datum, model: &Reconstruction) -> Vec<Option<RoughPose>> {
     let fixing = datum.points.iter().filter(|p| p.role == Role::Control && p.seen.len() >= 2).count();
     let kept = |p: &read::Photograph| match model.reference_lla {
-        _ if datum.control.own_datum => Some(p.pose),
         Some(reference) if fixing < 3 => datum.world.pose_of_tangent(reference, &p.pose),
         Some(_) | None => None,
     };
@@ -187,7 +201,7 @@ pub fn run(args: &AdjustArgs) -> Result<ExitCode> {
         ("sigma-image", Some(args.how.sigma_image)),
         ("sigma-ground", args.how.sigma_ground),
         ("sigma-position", args.sigma_position),
-        ("sigma-direction", Some(args.sigma_direction)),
+        ("sigma-direction", args.sigma_direction),
     ])?;
     let interior = interior(&args.free, "--free")?;
     let mut model = read::reconstruction(&args.reconstruction)?;

@@ -106,7 +106,7 @@ pub fn for_colmap(folder: &Path, names: &[String], out: &Path) -> Result<PathBuf
 ///
 /// # Errors
 /// When the camera is unknown or has no focal length, or one is named and the frame was not resampled.
-pub fn film_interior(frame: &Path, camera: Option<&str>) -> Result<Option<(f64, [f64; 2])>> {
+pub fn film_interior(frame: &Path, camera: Option<&str>, stated_f_px: Option<f64>) -> Result<Option<(f64, [f64; 2])>> {
     let said = Dataset::open(frame).ok().and_then(|d| d.metadata_item("TIFFTAG_IMAGEDESCRIPTION", ""));
     let said: serde_json::Value = said.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
     let corner = &said["film_of_first_pixel_mm"];
@@ -121,15 +121,16 @@ pub fn film_interior(frame: &Path, camera: Option<&str>) -> Result<Option<(f64, 
         (Some(name), _) => autoref_film::load_camera(name)?,
         (None, Some(name)) => match autoref_film::builtin_cameras().into_iter().find(|c| c.name == name) {
             Some(film) => film,
+            None if stated_f_px.is_some() => return Ok(None),
             None => bail!("{}: the camera `{name}` is none of the program's; give --film FILE", frame.display()),
         },
         (None, None) => return Ok(None),
     };
-    let Some(f_mm) = film.focal_length_mm else {
+    let Some(f_px) = stated_f_px.or(film.focal_length_mm.map(|f_mm| f_mm / pixel_mm)) else {
         bail!("camera `{}`: has no focal_length_mm; add it, or give --f-px", film.name)
     };
     let middle = principal_mm(&film);
-    Ok(Some((f_mm / pixel_mm, [(middle[0] - left_mm) / pixel_mm, (middle[1] - top_mm) / pixel_mm])))
+    Ok(Some((f_px, [(middle[0] - left_mm) / pixel_mm, (middle[1] - top_mm) / pixel_mm])))
 }
 
 /// The principal point in the film's millimetres, y down: the origin where the axes run through the middle, as a

@@ -206,11 +206,11 @@ const ONE_FOCAL: f64 = 1.03;
 /// The camera that the command line, resampled film or EXIF states.
 fn init_camera(args: &InitArgs, first: &Path, told: &[frames::Told]) -> Result<CameraPart> {
     let pp_px = args.pp_px.as_ref().map(|p| [p[0], p[1]]);
+    if let Some((f_px, of_film)) = frames::film_interior(first, args.film.as_deref(), args.f_px)? {
+        return Ok(CameraPart { f_px: Some(f_px), pp_px: pp_px.or(Some(of_film)), focal: Focal::Held });
+    }
     if args.f_px.is_some() {
         return Ok(CameraPart { f_px: args.f_px, pp_px, focal: Focal::Held });
-    }
-    if let Some((f_px, of_film)) = frames::film_interior(first, args.film.as_deref())? {
-        return Ok(CameraPart { f_px: Some(f_px), pp_px: pp_px.or(Some(of_film)), focal: Focal::Held });
     }
     let mut all: Vec<f64> = told.iter().filter_map(|t| t.f_px).collect();
     all.sort_by(f64::total_cmp);

@@ -73,8 +73,6 @@ pub struct Control {
     pub crs: Option<Crs>,
     /// The system in longitude and latitude that the list's coordinates were in before they came into `crs`.
     pub listed_in: Option<Crs>,
-    /// The coordinates are those of the reconstruction's own frame on the Earth.
-    pub own_datum: bool,
     /// The middle of the cameras' positions, which place the block where there are no points.
     pub cameras_at: Option<[f64; 3]>,
     /// Why the list was not read as one of points in images, where it was another.
@@ -208,9 +206,6 @@ impl Control {
     }
 
     pub fn world(&self) -> Result<World> {
-        if self.own_datum {
-            return Ok(World::Flat { origin: Vector3::zeros() });
-        }
         let n = self.points.len().max(1) as f64;
         let mean = |a: usize| self.points.iter().map(|p| p.xyz[a]).sum::<f64>() / n;
         world_of(self.crs.as_ref(), self.cameras_at.unwrap_or_else(|| [mean(0), mean(1), mean(2)]))
@@ -457,6 +452,9 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
     }
     if needs_reconstruction(&start) {
         let Some(model) = model else { bail!("{}: such a list needs its reconstruction", list.display()) };
+        if stated.is_some() {
+            bail!("{}: longitudes and latitudes of WGS 84, and --crs has no effect; leave it out", list.display());
+        }
         return of_opensfm(list, model);
     }
     let measured = match tables::image_points(list) {
@@ -564,18 +562,12 @@ fn metric(mut points: Vec<ListPoint>, crs: Option<Crs>) -> Result<Control> {
 
 fn of_opensfm(list: &Path, model: &Reconstruction) -> Result<Control> {
     let all = opensfm::ground_control(list, model)?;
-    let known: Vec<[f64; 3]> = all.iter().filter_map(|p| p.lla).collect();
-    let Some(first) = known.first() else { bail!("{}: no point has a position", list.display()) };
-    // East, north, up about the reconstruction's own origin when it says one, else about the first point.
-    let origin = model.reference_lla.unwrap_or(*first);
-    let axes = autoref_flight::world::tangent_axes(origin[0], origin[1]);
-    let zero = autoref_flight::world::geocentric(origin);
-    let points = all
-        .into_iter()
-        .filter_map(|p| {
-            let at = axes * (autoref_flight::world::geocentric(p.lla?) - zero);
-            Some(ListPoint { name: p.name, xyz: at.into(), sigma: [None; 3], check: false, seen: p.seen })
-        })
-        .collect();
-    Ok(Control { points, own_datum: true, ..Control::default() })
+    let placed = |p: opensfm::GroundControl| {
+        Some(ListPoint { name: p.name, xyz: p.lla?, sigma: [None; 3], check: false, seen: p.seen })
+    };
+    let points: Vec<ListPoint> = all.into_iter().filter_map(placed).collect();
+    if points.is_empty() {
+        bail!("{}: no point has a position", list.display());
+    }
+    metric(points, Some(Crs::from_epsg(4326)?))
 }

@@ -3,6 +3,7 @@
 mod draw;
 mod model;
 mod place;
+pub(super) use place::resize;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

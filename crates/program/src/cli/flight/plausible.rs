@@ -31,7 +31,7 @@ pub fn within_frames(points: &mut [GroundPoint], model: &Reconstruction, list: &
     let ([width, height], frame) = (size(*photograph), &model.photographs[*photograph].name);
     let first = format!("first `{name}` at ({x:.1}, {y:.1}) in `{frame}` of {width} x {height} px");
     if astray.len() as f64 > MANY * all as f64 {
-        let upwards = astray.iter().all(|(_, (_, [_, y]))| *y < 0.0);
+        let upwards = astray.len() == all && astray.iter().all(|(_, (_, [_, y]))| *y < 0.0);
         let remedy = if upwards {
             "its y counts upwards: change its sign"
         } else {

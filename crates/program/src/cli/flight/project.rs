@@ -280,6 +280,21 @@ pub struct OrderedFrames {
 }
 
 impl OrderedFrames {
+    /// Refuses names that lists of pairs, in which blanks part one name from the next, cannot hold.
+    ///
+    /// # Errors
+    /// With the first such name.
+    pub fn refuse_blanks(&self, project: &Path) -> Result<()> {
+        match self.names.iter().find(|name| name.contains(char::is_whitespace)) {
+            Some(name) => bail!(
+                "{}: the frame `{name}` has a blank in its name, which the lists of COLMAP and MicMac do not hold; rename the \
+                 frames, or solve with --engine pycolmap",
+                project.display()
+            ),
+            None => Ok(()),
+        }
+    }
+
     /// Brings longitudes and latitudes of the rough table to the project's map, which its list of GCPs may name, or to
     /// their UTM zone where there is no list. Returns that map.
     ///

@@ -118,6 +118,9 @@ impl<'a> Ready<'a> {
             None => None,
         };
         let mut frames = ordered_frames(&project, &base)?;
+        if args.engine != Engine::Pycolmap {
+            frames.refuse_blanks(&args.project)?;
+        }
         let crs = frames.rows_on_map(&project, &base, control.as_ref())?;
         match (&points, &control, &project.rough) {
             (Some(points), Some(known), _) => known.named_checks(points)?,

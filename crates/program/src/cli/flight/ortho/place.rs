@@ -78,7 +78,13 @@ fn posed_by_table(
         bail!("{}: has no row of `{name}`", file.display())
     };
     // Degrees are brought to the model's map; whatever their CRS is called, they are those of WGS 84.
-    let frame = Frame::Map(args.crs.clone().filter(|_| !rows[i].geographic));
+    if rows[i].geographic && args.crs.is_some() {
+        bail!(
+            "{}: longitudes and latitudes, which are taken as those of WGS 84, and --crs has no effect; leave it out",
+            file.display()
+        );
+    }
+    let frame = Frame::Map(args.crs.clone());
     let row = &camera_tables::on_map(vec![rows[i].clone()], file, model_crs)?[0];
     let Some(pose) = row.pose(None) else {
         bail!("{}: the row of `{name}` states no direction (yaw and pitch, or omega, phi, kappa)", file.display())
@@ -140,7 +146,7 @@ const CUT: f64 = 0.9;
 
 /// The camera of a frame of another size: the same lens, other pixels. A scan is larger than its film, and its pixels
 /// are what they are.
-fn resize(camera: &mut Camera, of: &Path, size: [f64; 2]) -> Result<()> {
+pub(in crate::cli::flight) fn resize(camera: &mut Camera, of: &Path, size: [f64; 2]) -> Result<()> {
     use autoref_flight::Parameter::{Cx, Cy, F};
     let (across, down) = (size[0] / camera.size_px[0], size[1] / camera.size_px[1]);
     let holds = match camera.size_of {
