@@ -23,8 +23,8 @@ use Needs::{Given, GivenOneOf, Never, NoWord, Word};
 const ANY: &str = "";
 const JOB: &str = "autoref-stream";
 
-/// A command by its names, an option by its own as an identifier, and what it needs. A rule holds for commands that have the other
-/// option: clap does not heed `requires` where what is required is excluded by an option that is given.
+/// A command by its names, an option by its own as an identifier, and what it needs. A rule holds for commands that have
+/// the other option: clap does not heed `requires` where what is required is excluded by an option that is given.
 const RULES: [(&str, &str, Needs); 53] = [
     (ANY, "reproject", Given("to_crs")),
     (ANY, "angles", Given("cameras")),
