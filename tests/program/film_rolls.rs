@@ -400,3 +400,16 @@ fn clicks_beside_marks_teach_a_camera() {
         }
     }
 }
+
+/// `--json` of what prints lines otherwise.
+#[test]
+fn cameras_are_listed_as_json() {
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_autoref-stream"))
+        .args(["fiducials", "--list-cameras", "--json"])
+        .output()
+        .expect("the program starts");
+    let document: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one document");
+    let cameras = document["cameras"].as_array().expect("cameras");
+    let named = |name: &str| cameras.iter().any(|c| c["name"] == name && c["description"].is_string());
+    assert!(named("wild-15-4") && named("svalbard-zeiss-1936"), "{document}");
+}

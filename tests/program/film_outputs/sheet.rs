@@ -140,7 +140,7 @@ fn marks_of_a_new_camera_are_clicked_in_a_page_and_learned() {
     let clicks = roll.folder.path().join("clicks.csv");
     std::fs::write(&clicks, saved.as_str().expect("a table")).expect("writable");
     let said = roll.fiducials(&["--learn", "--at", plain(&clicks), "--window-mm", "5,5"], 0);
-    assert!(said.contains("learned from 1 scans"), "{said}");
+    assert!(said.contains("learned from 1 scan;"), "{said}");
     let learned = std::fs::read_dir(roll.folder.path().join("out")).expect("there");
     let learned = learned.filter_map(|e| Some(e.ok()?.path())).find(|p| p.extension().is_some_and(|e| e == "toml"));
     let (learned, scan) = (learned.expect("a camera"), roll.scans().join(format!("{first}.tif")));

@@ -10,6 +10,7 @@ use autoref_raster::memory_plan;
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::everywhere;
 use super::fiducials_page::{self, At};
 use super::film_outputs;
 use autoref_raster::words::counted;
@@ -110,6 +111,15 @@ enum Model {
 }
 
 impl FiducialsArgs {
+    /// What was written, in words or as the document of `--json`.
+    fn tell_written(&self, words: &str) {
+        if self.json {
+            print!("{}", everywhere::files_written());
+        } else {
+            println!("{words}");
+        }
+    }
+
     fn options(&self) -> anyhow::Result<FindOptions> {
         if self.pixel_um.is_some_and(|v| !(0.5..=500.0).contains(&v)) {
             bail!("--pixel-um must be between 0.5 and 500 micrometres");
@@ -145,11 +155,25 @@ impl FiducialsArgs {
     }
 }
 
+/// The cameras that come with the program: product of the command, as lines or as JSON.
+fn list_cameras(json: bool) -> anyhow::Result<()> {
+    let cameras = autoref_film::builtin_cameras();
+    if json {
+        let named =
+            cameras.iter().map(|camera| serde_json::json!({"name": camera.name, "description": camera.description}));
+        let document = serde_json::json!({"cameras": named.collect::<Vec<_>>()});
+        println!("{}", serde_json::to_string_pretty(&document)?);
+        return Ok(());
+    }
+    for camera in cameras {
+        println!("{:<22} {}", camera.name, camera.description);
+    }
+    Ok(())
+}
+
 pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
     if args.list_cameras {
-        for camera in autoref_film::builtin_cameras() {
-            println!("{:<22} {}", camera.name, camera.description);
-        }
+        list_cameras(args.json)?;
         return Ok(ExitCode::SUCCESS);
     }
     let options = args.options()?;
@@ -159,13 +183,17 @@ pub fn run(args: &FiducialsArgs) -> anyhow::Result<ExitCode> {
         let named = (&camera, args.camera.as_deref().unwrap_or_default());
         // A page is written anew: what was clicked lies in the file that it saved.
         let page = fiducials_page::write(&args.output, &scans[0], named, &options, Existing::Replace)?;
-        println!("{}: click the marks, save, then say --learn --at FILE", page.display());
+        args.tell_written(&format!("{}: click the marks, save, then say --learn --at FILE", page.display()));
         return Ok(ExitCode::SUCCESS);
     }
     if args.learn {
         let pointed = fiducials_page::pointed(&args.at, &scans[0])?;
         let (file, count) = learn::learn_files(&scans, &camera, &pointed, args.window_mm, &options, &args.output)?;
-        println!("learned from {} scans; use --camera {}", count, file.display());
+        args.tell_written(&format!(
+            "learned from {}; use --camera {}",
+            counted(count, "scan", "scans"),
+            file.display()
+        ));
         return Ok(ExitCode::SUCCESS);
     }
     let finder = Finder::new(&camera)?;

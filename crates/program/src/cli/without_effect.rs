@@ -23,9 +23,9 @@ use Needs::{Given, GivenOneOf, Never, NoWord, Word};
 const ANY: &str = "";
 const JOB: &str = "autoref-stream";
 
-/// A command by its names, an option by its own as an identifier, and what it needs. A rule holds for commands that have
+/// A command by its names, an option by its identifier, and what it needs. A rule holds for commands that have
 /// the other option: clap does not heed `requires` where what is required is excluded by an option that is given.
-const RULES: [(&str, &str, Needs); 53] = [
+const RULES: [(&str, &str, Needs); 52] = [
     (ANY, "reproject", Given("to_crs")),
     (ANY, "angles", Given("cameras")),
     (ANY, "blend", NoWord("choose", &["median", "feather"])),
@@ -66,7 +66,6 @@ const RULES: [(&str, &str, Needs); 53] = [
     ("fiducials", "patch", NoWord("learn", &[])),
     ("fiducials", "pixels_from", NoWord("learn", &[])),
     ("fiducials", "threads", NoWord("learn", &[])),
-    ("fiducials", "json", NoWord("learn", &[])),
     ("fiducials", "overwrite", Given("resample")),
     ("synth", "tiles", NoWord("strips", &[])),
     ("synth", "quality", Word("compress", &["jpeg"])),
