@@ -73,7 +73,8 @@ pub fn rematch(
     expected: &[Expected],
 ) -> Result<Vec<Refinement>> {
     let size_px = (source.info().width as f64, source.info().height as f64);
-    let (free, taken) = (Free::among(scanned, taken), of_marks(taken));
+    let (free, elsewhere) = (Free::among(scanned, taken), marks_elsewhere(scanned, taken));
+    let taken = of_marks(taken);
     let known = |expected: &Expected| {
         if !is_inside(expected.position, size_px) {
             return Refinement::Outside;
@@ -81,7 +82,8 @@ pub fn rematch(
         free.nearest(expected).map_or(Refinement::NotFound, |candidate| Refinement::Kept { candidate })
     };
     let mut answers: Vec<Refinement> = expected.iter().map(known).collect();
-    look_again(source, detector, &taken, expected, &mut answers)?;
+    let windows = Windows { source, taken: &taken, elsewhere: &elsewhere };
+    windows.look_again(detector, expected, &mut answers)?;
     let mut stricter: Option<Box<dyn Detector>> = None;
     for _ in 0..STRICTER_LOOKS {
         // A detector costs a table of colours: none is made for nothing.
@@ -89,37 +91,62 @@ pub fn rematch(
             break;
         }
         let Some(next) = stricter.as_deref().unwrap_or(detector).stricter() else { break };
-        look_again(source, next.as_ref(), &taken, expected, &mut answers)?;
+        windows.look_again(next.as_ref(), expected, &mut answers)?;
         stricter = Some(next);
     }
     Ok(answers)
 }
 
-/// Looks in the windows of all that is still missing.
-fn look_again(
-    source: &dyn RasterSource,
-    detector: &dyn Detector,
-    taken: &Standing,
-    expected: &[Expected],
-    answers: &mut [Refinement],
-) -> Result<()> {
-    let mut missing: Vec<usize> = (0..expected.len()).filter(|&i| matches!(answers[i], Refinement::NotFound)).collect();
-    let look = |&i: &usize| -> Result<(usize, Refinement)> {
-        let found = look_in_window(source, detector, &expected[i])?;
-        let best = Free::of(&found, taken).nearest(&expected[i]);
-        Ok((i, best.map_or(Refinement::NotFound, |best| Refinement::Found(Box::new(found[best].clone())))))
+/// Whole marks of the scan, about as large as those that are taken and measured to a pixel. One that lies within the
+/// radius of a place was kept; what a window shows of another one is a piece of a mark that lies elsewhere.
+fn marks_elsewhere(scanned: &[Candidate], taken: &[Candidate]) -> Standing {
+    const ALIKE: f64 = 3.0;
+    let mut areas: Vec<f64> = taken.iter().filter_map(|mark| mark.area_px).collect();
+    areas.sort_by(f64::total_cmp);
+    let usual_px = areas.get(areas.len() / 2).copied();
+    let is_mark = |candidate: &&Candidate| {
+        let alike = candidate
+            .area_px
+            .zip(usual_px)
+            .is_some_and(|(area_px, usual_px)| (usual_px / ALIKE..=usual_px * ALIKE).contains(&area_px));
+        alike && candidate.covariance_px2.is_some_and(|[xx, _, yy]| xx.max(yy) <= 1.0)
     };
-    let found: Vec<(usize, Refinement)> = if source.info().sequential {
-        // From the top down: the reader cannot go back without starting again.
-        missing.sort_by(|&a, &b| expected[a].position.y.total_cmp(&expected[b].position.y));
-        missing.iter().map(look).collect::<Result<_>>()?
-    } else {
-        missing.par_iter().map(look).collect::<Result<_>>()?
-    };
-    for (i, answer) in found {
-        answers[i] = answer;
+    let mut standing = Standing::default();
+    standing.add(scanned.iter().filter(is_mark));
+    standing
+}
+
+/// Where windows are looked in, and the marks that are none of theirs.
+struct Windows<'a> {
+    source: &'a dyn RasterSource,
+    taken: &'a Standing,
+    elsewhere: &'a Standing,
+}
+
+impl Windows<'_> {
+    /// Looks in the windows of all that is still missing.
+    fn look_again(&self, detector: &dyn Detector, expected: &[Expected], answers: &mut [Refinement]) -> Result<()> {
+        let Windows { source, taken, elsewhere } = self;
+        let mut missing: Vec<usize> =
+            (0..expected.len()).filter(|&i| matches!(answers[i], Refinement::NotFound)).collect();
+        let look = |&i: &usize| -> Result<(usize, Refinement)> {
+            let mut found = look_in_window(*source, detector, &expected[i])?;
+            found.retain(|candidate| !elsewhere.any_around(candidate));
+            let best = Free::of(&found, taken).nearest(&expected[i]);
+            Ok((i, best.map_or(Refinement::NotFound, |best| Refinement::Found(Box::new(found[best].clone())))))
+        };
+        let found: Vec<(usize, Refinement)> = if source.info().sequential {
+            // From the top down: the reader cannot go back without starting again.
+            missing.sort_by(|&a, &b| expected[a].position.y.total_cmp(&expected[b].position.y));
+            missing.iter().map(look).collect::<Result<_>>()?
+        } else {
+            missing.par_iter().map(look).collect::<Result<_>>()?
+        };
+        for (i, answer) in found {
+            answers[i] = answer;
+        }
+        Ok(())
     }
-    Ok(())
 }
 
 fn distance(candidate: &Candidate, expected: &Expected) -> f64 {

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::csv_list::refuse_more_cells;
 use super::text::{self, SEPARATORS, Separator};
 use super::titles::{NAMES, find, tidy};
 use super::units::Unit;
@@ -118,6 +119,9 @@ fn parse(path: &Path, text: &str) -> Result<Vec<Row>> {
         .map(|line| {
             let row = line.row;
             let fields = text::split(line.text, cut);
+            let read = (line, fields);
+            refuse_more_cells(path, &read, titles.len(), cut)?;
+            let (_, fields) = read;
             let number = |column: Option<usize>| -> Result<Option<f64>> {
                 let text = column.and_then(|c| fields.get(c)).map(|t| t.trim()).filter(|t| !t.is_empty());
                 let Some((column, text)) = column.zip(text) else { return Ok(None) };
@@ -172,6 +176,8 @@ mod tests {
             ("name,sigma\nA,x\n", "row 2"),
             ("name,sigma\nA,1\nA,2\n", "`A`"),
             ("name,sigma\n,2\n", "row 2"),
+            ("name,sigma\nA,0,01\n", "3 cells under 2 titles"),
+            ("name,sigma_e,sigma_n,sigma_h\nA,0,01,0,02,0,03\n", "decimal commas"),
         ] {
             let message = applied(text).expect_err(place).to_string();
             assert!(message.contains(place) && !message.contains('\n'), "{message}");

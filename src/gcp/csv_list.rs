@@ -183,7 +183,12 @@ pub(super) fn refuse_open_quote(path: &Path, line: &Line<'_>) -> Result<()> {
 }
 
 /// A row with more cells than there are titles was cut where it should not be.
-fn refuse_more_cells(path: &Path, (line, fields): &Row<'_>, titles: usize, separator: Separator) -> Result<()> {
+pub(super) fn refuse_more_cells(
+    path: &Path,
+    (line, fields): &Row<'_>,
+    titles: usize,
+    separator: Separator,
+) -> Result<()> {
     let cells = fields.iter().rposition(|field| !field.is_empty()).map_or(0, |at| at + 1);
     if cells <= titles {
         return Ok(());

@@ -205,7 +205,8 @@ fn finish(path: &Path, mut raw: RawList, options: &GcpOptions) -> Result<GcpList
     if let Some(table) = &options.accuracy {
         list.notes.extend(accuracy_list::apply(table, &mut list.gcps)?);
     }
-    list.notes.extend(accuracy_list::no_survey(path, &list.gcps));
+    let stated_in = options.accuracy.as_deref().unwrap_or(path);
+    list.notes.extend(accuracy_list::no_survey(stated_in, &list.gcps));
     Ok(list)
 }
 

@@ -93,6 +93,9 @@ pub fn write_geojson(candidates: &[Candidate], mut out: impl Write) -> std::io::
 /// When the file cannot be read, lacks `x` or `y`, or has a value that is no number; the message names the row.
 pub fn read_csv(path: &Path) -> Result<Vec<Candidate>> {
     let table = Spreadsheet::read(path, "a list of candidates", bounded::DOCUMENT_BYTES)?;
+    if table.is_json() {
+        return Err(Error::format(path, "begin", "JSON is no list of candidates; write CSV: detect IMAGE -o NAME.csv"));
+    }
     let mut reader = table.reader();
     let headers = reader.headers().map_err(|e| csv_error(path, &e))?.clone();
     let column = |name: &str| headers.iter().position(|h| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(name));

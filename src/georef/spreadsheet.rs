@@ -42,6 +42,11 @@ impl Spreadsheet {
             .from_reader(self.text.as_bytes())
     }
 
+    /// Whether it is a document in JSON instead.
+    pub fn is_json(&self) -> bool {
+        self.text.trim_start_matches('\u{feff}').trim_start().starts_with(['{', '['])
+    }
+
     /// The row of the file that the record of this index is, both counted as people do: titles are row 1.
     pub fn row(&self, record: usize) -> usize {
         record + 2 + self.skipped

@@ -44,6 +44,9 @@ const EARLY_SHARE: u64 = 8;
 const REPEATED_PERCENT: u64 = 20;
 const LONG_PERCENT: u64 = 70;
 const LONG_OF_SCALE_PERCENT: u64 = 50;
+/// Without a scale, of longer lists than this less in proportion: what many marks tell is found with little work, what
+/// few marks tell with no work that could be waited for.
+const VERY_LONG: u64 = 500;
 const GROWTH_SHARE: u64 = 3;
 /// How often a rival may take the first place before the last is left there; two so close are refused anyhow.
 const MOST_CHALLENGES: usize = 3;
@@ -132,11 +135,12 @@ impl RobustMatcher {
         priors: &Priors,
     ) -> MatchOutcome {
         let repetition = Repetition::of(positions, priors);
+        let points = positions.len() as u64;
         let percent = match repetition {
             Some(_) => REPEATED_PERCENT,
             None if positions.len() < LONG => 100,
             None if priors.narrow_by_scale() => LONG_OF_SCALE_PERCENT,
-            None => LONG_PERCENT,
+            None => LONG_PERCENT * VERY_LONG / points.max(VERY_LONG),
         };
         let budget_hypotheses = self.budget_hypotheses * percent / 100;
         let matcher = RobustMatcher { budget_hypotheses, ..self.clone() };

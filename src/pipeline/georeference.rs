@@ -174,7 +174,7 @@ pub(super) fn orient_again(
         let mut answers = rematch(job.source, job.refiner, candidates, taken, expected)?;
         let missing: Vec<usize> = (0..expected.len()).filter(|&i| matches!(answers[i], Refinement::NotFound)).collect();
         let asked: Vec<Expected> = missing.iter().map(|&i| expected[i]).collect();
-        for (&i, answer) in missing.iter().zip(rematch(job.source, taught, &[], taken, &asked)?) {
+        for (&i, answer) in missing.iter().zip(rematch(job.source, taught, candidates, taken, &asked)?) {
             answers[i] = answer;
         }
         Ok(answers)

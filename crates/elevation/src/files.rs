@@ -182,7 +182,7 @@ fn crs_of_layer(path: &Path, layer: &gdal::vector::Layer<'_>) -> Result<Option<C
     })
 }
 
-/// The polygons of a geometry, each with its holes; a closed line is one too.
+/// The polygons of a geometry, each with its holes; a closed line is one too, an open one is none.
 fn collect_polygons(geometry: &gdal::vector::Geometry, polygons: &mut Vec<Vec<Ring>>) {
     let ring = |line: &gdal::vector::Geometry| -> Option<Ring> {
         let mut points = Vec::new();
@@ -192,21 +192,15 @@ fn collect_polygons(geometry: &gdal::vector::Geometry, polygons: &mut Vec<Vec<Ri
     if geometry.is_empty() {
         return;
     }
-    if geometry.geometry_count() == 0 {
-        polygons.extend(ring(geometry).map(|ring| vec![ring]));
-        return;
-    }
-    let mut own = Vec::new();
-    for index in 0..geometry.geometry_count() {
-        let part = geometry.get_geometry(index);
-        if part.geometry_count() > 0 {
-            collect_polygons(&part, polygons);
-        } else {
-            own.extend(ring(&part));
-        }
-    }
-    if !own.is_empty() {
-        polygons.push(own);
+    let parts = || (0..geometry.geometry_count()).map(|index| geometry.get_geometry(index));
+    let is_area = matches!(geometry.geometry_name().as_str(), "POLYGON" | "CURVEPOLYGON" | "TRIANGLE");
+    if is_area {
+        let own: Vec<Ring> = parts().filter_map(|part| ring(&part)).collect();
+        polygons.extend((!own.is_empty()).then_some(own));
+    } else if geometry.geometry_count() == 0 {
+        polygons.extend(ring(geometry).filter(|ring| ring.first() == ring.last()).map(|ring| vec![ring]));
+    } else {
+        parts().for_each(|part| collect_polygons(&part, polygons));
     }
 }
 

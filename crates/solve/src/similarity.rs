@@ -145,7 +145,7 @@ pub struct PairResult {
     pub redundancy: f64,
     /// Smallest error of this point that a test would notice, metres; `None` when nothing would.
     pub detectable_blunder_m: Option<f64>,
-    /// The residual is more than the test allows: look at this point.
+    /// The residual is more than robust noise or the others' noise allows: look at this point.
     pub outlier: bool,
 }
 
@@ -205,7 +205,7 @@ fn jacobian(p: PixelPoint, centre: PixelPoint, mirrored: Handedness) -> SMatrix<
 /// A pair's weight is 1/σ², with σ² from the mark's centre covariance (brought to metres), the survey's σ and a common
 /// part that the residuals show ([`crate::weights`]), relative to the average; without any of these all weights are
 /// equal. Pairs with a residual longer than 4.5 robust standard deviations are down-weighted (Huber) and
-/// marked `outlier`; none is dropped.
+/// marked `outlier`, and so are those that the others' noise puts there once in a thousand fits; none is dropped.
 ///
 /// # Errors
 /// [`Unsolvable`] with fewer than two different points.
@@ -308,6 +308,21 @@ fn huber_weights(pairs: &[Pair], similarity: &Similarity, base: &[f64]) -> Vec<f
     lengths.iter().zip(base).map(|(length, w)| if *length > limit { w * limit / length } else { *w }).collect()
 }
 
+/// A point that is nearer than this, as the others lay it, is none that fits badly, deviations of the best mark.
+const LEAST_MISFIT_SIGMAS: f64 = 3.72;
+
+/// log₁₀ of the chance that a point is so far from where the others put it, by the others' own noise: the weighted
+/// squares that it takes away with it, of the `all` there are, against what is left, F with 2 and 2(n − 1) − 4 degrees
+/// of freedom (R. D. Cook and S. Weisberg, "Residuals and Influence in Regression", 1982, the externally studentised
+/// residual), whose tail has a closed form. 0 for fewer than five points.
+fn log10_misfit(taken_away: f64, all: f64, points: usize) -> f64 {
+    const FEWEST: usize = 5;
+    if points < FEWEST || all <= 0.0 {
+        return 0.0;
+    }
+    (points as f64 - 3.0) * (1.0 - taken_away / all).max(0.0).log10()
+}
+
 fn describe(pairs: &[Pair], weights: &[f64], base: &[f64], similarity: Similarity) -> Solution {
     let total: f64 = weights.iter().sum();
     let (centre, _) = centres(pairs, weights, total);
@@ -336,6 +351,9 @@ fn describe(pairs: &[Pair], weights: &[f64], base: &[f64], similarity: Similarit
         row[i] = variance / if i < 2 { spread } else { total };
     }
     let scale = similarity.scale_m_per_px();
+    let is_lowered = |i: usize| weights[i] < 0.999 * base[i];
+    // Of all points together one in a thousand fits is called so by chance.
+    let alarm = -3.0 - n.log10();
     let results = (0..pairs.len())
         .map(|i| {
             let (e, no) = residuals[i];
@@ -356,7 +374,9 @@ fn describe(pairs: &[Pair], weights: &[f64], base: &[f64], similarity: Similarit
                 detectable_blunder_m: sigma_i
                     .filter(|_| redundancy > 0.02)
                     .map(|s| BAARDA_SQRT_LAMBDA * s / redundancy.sqrt()),
-                outlier: weights[i] < 0.999 * base[i],
+                outlier: is_lowered(i)
+                    || (usable && e.hypot(no) / redundancy > LEAST_MISFIT_SIGMAS * LEAST_SIGMA_PX * scale)
+                        && log10_misfit(weights[i] * (e * e + no * no) / redundancy, weighted, pairs.len()) <= alarm,
             }
         })
         .collect();
@@ -392,10 +412,7 @@ fn warnings(pairs: &[Pair], solution: &Solution) -> Vec<String> {
     }
     let outliers = solution.pairs.iter().filter(|p| p.outlier).count();
     if outliers > 0 {
-        warnings.push(format!(
-            "{} badly and less weight is given; see `outlier` in the list",
-            counted(outliers, "point fits", "points fit")
-        ));
+        warnings.push(format!("{} badly; see `outlier` in the list", counted(outliers, "point fits", "points fit")));
     }
     let n = pairs.len() as f64;
     let centred: Vec<(f64, f64)> =
@@ -409,4 +426,41 @@ fn warnings(pairs: &[Pair], solution: &Solution) -> Vec<String> {
         warnings.push("the points lie almost on one line: errors across it show badly".into());
     }
     warnings
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use autoref_raster::random::SplitMix64;
+
+    /// Seven marks good to 0.3 px, the first of them off by so many.
+    fn flagged(random: &mut SplitMix64, off_px: f64) -> [bool; 7] {
+        let truth = Similarity::through(
+            [PixelPoint { x: 0.0, y: 0.0 }, PixelPoint { x: 1000.0, y: 0.0 }],
+            [MapPoint { easting: 5000.0, northing: 9000.0 }, MapPoint { easting: 5025.0, northing: 9016.0 }],
+        )
+        .expect("two places");
+        let pairs: Vec<Pair> = (0..7)
+            .map(|i| {
+                let place = PixelPoint { x: 3000.0 * random.unit(), y: 2000.0 * random.unit() };
+                let direction = 2.0 * std::f64::consts::PI * random.unit();
+                let (x, y) = if i == 0 { (off_px * direction.cos(), off_px * direction.sin()) } else { (0.0, 0.0) };
+                let pixel =
+                    PixelPoint { x: place.x + x + 0.3 * random.normal(), y: place.y + y + 0.3 * random.normal() };
+                Pair { pixel, covariance_px2: None, map: truth.apply(place), survey_sigma_m: None }
+            })
+            .collect();
+        let solution = solve(&pairs).expect("seven places");
+        std::array::from_fn(|i| solution.pairs[i].outlier)
+    }
+
+    #[test]
+    fn one_wrong_mark_among_seven_is_named_and_right_ones_seldom() {
+        let mut random = SplitMix64(5);
+        let rounds = 400;
+        let named = (0..rounds).filter(|_| flagged(&mut random, 8.0)[0]).count();
+        assert!(named > rounds * 9 / 10, "{named}");
+        let blamed = (0..rounds).filter(|_| flagged(&mut random, 0.0).contains(&true)).count();
+        assert!(blamed < rounds / 25, "{blamed}");
+    }
 }

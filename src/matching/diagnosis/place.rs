@@ -9,6 +9,10 @@ use autoref_raster::crs::Coordinate;
 /// Two places agree within this part of the image's diagonal, or this many metres if that is more.
 const NEAR_DIAGONALS: f64 = 0.25;
 const NEAR_M: f64 = 2.0;
+/// Where a list lies so many times farther off than it would by a mistake, that mistake was made, however roughly the
+/// image knows its own place: another zone moves a list by hundreds of kilometres, feet by thousands.
+const FARTHER_BY_ZONE: f64 = 100.0;
+const FARTHER_BY_FEET: f64 = 1000.0;
 /// Scales agree within this (a georeference is rarely worse); factors of ground to grid lie within 0.5 %.
 const SCALE_AGREES: f64 = 0.03;
 /// Leading digits are told where the rest of the coordinates agrees so well: a place by chance does so once in 2,500.
@@ -30,7 +34,7 @@ pub(super) fn diagnose(given: &GrossErrors<'_>, pattern: &Pattern) -> Vec<Diagno
     let scaled = |f: f64| MapPoint { easting: solved.easting * f, northing: solved.northing * f };
     if found > 20.0 * near_m {
         let (international, survey) = (away(scaled(FOOT_M)), away(scaled(US_SURVEY_FOOT_M)));
-        if international.min(survey) <= near_m {
+        if international.min(survey) <= near_m.max(found / FARTHER_BY_FEET) {
             return told_feet(international, survey);
         }
     }
@@ -39,13 +43,16 @@ pub(super) fn diagnose(given: &GrossErrors<'_>, pattern: &Pattern) -> Vec<Diagno
     {
         for zone in neighbours(declared) {
             let mut point = [Coordinate { x: solved.easting, y: solved.northing, height: None }];
-            if zone.transform(&mut point, declared, f64::INFINITY).is_ok()
-                && away(MapPoint { easting: point[0].x, northing: point[0].y }) <= near_m
-            {
+            if zone.transform(&mut point, declared, f64::INFINITY).is_err() {
+                continue;
+            }
+            let left = away(MapPoint { easting: point[0].x, northing: point[0].y });
+            if left <= near_m.max(found / FARTHER_BY_ZONE) {
+                let there = if left <= near_m { "on it".to_string() } else { format!("{left:.0} m from it") };
                 return told(
                     Mistake::WrongUtmZone,
                     format!(
-                        "the list lies {:.0} km from where the image says it is, but on it when read as {}: wrong UTM zone?",
+                        "the list lies {:.0} km from where the image says it is, but {there} when read as {}: wrong UTM zone?",
                         found / 1000.0,
                         zone.title()
                     ),

@@ -69,10 +69,16 @@ fn zones_of_no_system_lie_where_their_numbers_say() {
         let table = std::fs::read_to_string(at(name).join("volumes.csv")).expect("written");
         assert!(table.lines().next().is_some_and(|head| head.ends_with(",zone_area_m2,covered_share")), "{table}");
     }
-    let lines =
-        zones(&at("lines.gpkg"), None, OGRwkbGeometryType::wkbLineString, "LINESTRING(500400 8699500,501400 8700000)");
-    let refused = read_zones(&lines, "").expect_err("no polygon").to_string();
-    assert!(refused.contains("lines.gpkg") && refused.contains("make polygons of its lines"), "{refused}");
+    let open = "LINESTRING(500400 8699500,501400 8700000,501400 8700500)";
+    let two = "MULTILINESTRING((0 0,10 0,10 10),(50 50,60 50,60 60))";
+    for (name, wkt) in [("lines.gpkg", open), ("two_lines.gpkg", two)] {
+        let lines = zones(&at(name), None, OGRwkbGeometryType::wkbUnknown, wkt);
+        let refused = read_zones(&lines, "").expect_err("no polygon").to_string();
+        assert!(refused.contains("lines.gpkg") && refused.contains("make polygons of its lines"), "{refused}");
+    }
+    let closed = SQUARE.replace("POLYGON((", "LINESTRING(").replace("))", ")");
+    let closed = zones(&at("closed.gpkg"), None, OGRwkbGeometryType::wkbUnknown, &closed);
+    assert!(read_zones(&closed, "").is_ok(), "a closed line is a polygon");
 }
 
 #[test]

@@ -41,7 +41,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<()> {
-    atomic::check_outputs(&[&args.output], Existing::of_flag(args.overwrite))?;
+    autoref_elevation::output::check(&[&args.output], Existing::of_flag(args.overwrite))?;
     let profile = Profile::load(args.paint.paint.as_deref().unwrap_or(&args.profile))?;
     let source = args.samples.open(&args.image, 128 << 20)?;
     let info = source.info();

@@ -5,7 +5,8 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use autoref_raster::RasterInfo;
-use autoref_raster::crs::Crs;
+use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
+use autoref_raster::crs::{Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::memory_plan;
 use autoref_stream::candidate::{Candidate, least_whole_area_px};
 use autoref_stream::gcp::GcpList;
@@ -115,18 +116,14 @@ impl Document {
     /// An existing georeference is reported, with how far the new one moves the image.
     pub(super) fn prior(&mut self, info: &RasterInfo, list: &GcpList) {
         let Some(old) = info.geotransform else { return };
-        let same_crs = match (&info.crs_wkt, &list.crs) {
-            (Some(wkt), Some(crs)) if !crs.is_geographic() => {
-                Crs::parse(wkt).is_ok_and(|old| old.label() == crs.label())
-            }
-            _ => false,
-        };
+        let size = (info.width, info.height);
+        let here = list.crs.as_ref().filter(|crs| !crs.is_geographic()).and_then(|crs| {
+            let of_image = Crs::parse(info.crs_wkt.as_deref()?).ok()?;
+            if of_image.label() == crs.label() { Some(old) } else { brought(&old, size, &of_image, crs) }
+        });
         let per_unit = list.crs.as_ref().map_or(1.0, |crs| crs.metres_per_unit());
-        let change = self
-            .result
-            .geotransform()
-            .filter(|_| same_crs)
-            .map(|new| Overridden::between(&old, &new, (info.width, info.height), per_unit));
+        let change =
+            self.result.geotransform().zip(here).map(|(new, here)| Overridden::between(&here, &new, size, per_unit));
         if self.result.solved().is_some() {
             let plain = || "the image's own georeference is overridden".to_owned();
             self.result.warnings.push(change.as_ref().map_or_else(plain, Overridden::note));
@@ -181,6 +178,16 @@ impl Searched {
             diagnoses: evidence.diagnoses.clone(),
         }
     }
+}
+
+/// A georeference in another system, by three corners of the image.
+fn brought(old: &GeoTransform, (width, height): (u64, u64), from: &Crs, to: &Crs) -> Option<GeoTransform> {
+    let size = (width as f64, height as f64);
+    let corners = [(0.0, 0.0), (size.0, 0.0), (0.0, size.1)].map(|(x, y)| old.apply(PixelPoint { x, y }));
+    let mut places = corners.map(|p| Coordinate { x: p.easting, y: p.northing, height: None });
+    from.transform(&mut places, to, DEFAULT_DATUM_ACCURACY_M).ok()?;
+    let [origin, right, down] = places.map(|p| MapPoint { easting: p.x, northing: p.y });
+    Some(GeoTransform::through(origin, right, down, size))
 }
 
 fn solved(orientation: &Orientation, list: &GcpList, candidates: &[Candidate]) -> SolvedRun {

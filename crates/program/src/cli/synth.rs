@@ -231,6 +231,13 @@ pub fn run(args: SynthArgs) -> anyhow::Result<()> {
         eprintln!("the picture is georeferenced without a CRS; --epsg names that of the list");
     }
     if let Some(list) = args.write_gcps.as_deref() {
+        let extension = list.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        if !["geojson", "json"].contains(&extension.as_str()) {
+            bail!(
+                "--write-gcps {}: GeoJSON is written; name it .geojson (gcps convert makes other lists of it)",
+                list.display()
+            );
+        }
         atomic::check_outputs(&[list], Existing::of_flag(args.overwrite))?;
         if [args.output.as_path(), &autoref_synth::truth_path(&args.output)].contains(&list) {
             bail!("--write-gcps {}: the picture's own file has this name; give another", list.display());

@@ -25,7 +25,7 @@ const JOB: &str = "autoref-stream";
 
 /// A command by its names, an option by its identifier, and what it needs. A rule holds for commands that have
 /// the other option: clap does not heed `requires` where what is required is excluded by an option that is given.
-const RULES: [(&str, &str, Needs); 52] = [
+const RULES: [(&str, &str, Needs); 51] = [
     (ANY, "reproject", Given("to_crs")),
     (ANY, "angles", Given("cameras")),
     (ANY, "blend", NoWord("choose", &["median", "feather"])),
@@ -35,7 +35,6 @@ const RULES: [(&str, &str, Needs); 52] = [
     (ANY, "relief", NoWord("dem", &[])),
     (ANY, "keep_noise", NoWord("like_pdal", &[])),
     (ANY, "tpp_seed", Given("tpp_random")),
-    (ANY, "time_limit", NoWord("matcher", &["tpp"])),
     (JOB, "datum_accuracy", Given("to_crs")),
     ("solve", "datum_accuracy", Given("to_crs")),
     ("solve", "prior", Never("no image is read")),
@@ -251,7 +250,6 @@ mod tests {
             ("sample|a.tif|--at|9,9|--mark-size|9", "--mark-size has no effect where --colours is not given"),
             ("sample|a.tif|--mask|b.tif|--crs|EPSG:25832", "--crs has no effect where --gcps is not given"),
             ("apply|a.json|a.tif|--same-extent", "--same-extent has no effect where --to is not given"),
-            ("a.tif|--gcps|b.csv|--matcher|tpp|--time-limit|9", "--time-limit has no effect where --matcher is tpp"),
             ("a.tif|--gcps|b.csv|--datum-accuracy|9", "--datum-accuracy has no effect where --to-crs is not given"),
             ("solve|a.csv|--gcps|b.csv|--prior|none", "--prior has no effect: no image is read"),
             ("solve|a.json|--patch|b.json|--check|A", "--check has no effect where --patch is given: a replay"),

@@ -123,7 +123,20 @@ impl<'a> Ready<'a> {
         }
         let crs = frames.rows_on_map(&project, &base, control.as_ref())?;
         match (&points, &control, &project.rough) {
-            (Some(points), Some(known), _) => known.named_checks(points)?,
+            (Some(points), Some(known), _) => {
+                known.named_checks(points)?;
+                if args.until == Stage::Cameras && known.points.iter().all(|point| point.seen.is_empty()) {
+                    let why = known
+                        .no_image_points
+                        .as_ref()
+                        .map_or(String::new(), |why| format!(" (as image points: {why})"));
+                    bail!(
+                        "{}: says of no point where it was seen{why}; name [gcps] observations (flight click makes them), or \
+                         leave [gcps] out: a [rough] table places the block then",
+                        points.gcps.display()
+                    );
+                }
+            }
             (Some(_), None, _) => {}
             (None, ..) if args.engine == Engine::Micmac => bail!(
                 "{}: no [gcps]: MicMac places a block by GCPs; name a list, or leave out --engine micmac",
