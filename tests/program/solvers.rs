@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use crate::common::{Random, data};
+use autoref_raster::random::SplitMix64;
 use serde_json::Value;
 
 fn program(arguments: &[&str]) -> Output {
@@ -107,6 +108,39 @@ fn a_mirrored_table_is_called_so_and_spreadsheets_are_read() {
         let told = found(&mirrored, "plane", solver, "pixels to metres");
         assert_eq!(told["reason"], "the points are a mirror image", "{solver}: {told}");
     }
+}
+
+/// Old marks at all points and new ones at a few, 1.5 m beside: what is written is told apart from what would be
+/// believed alone. A row that fits its own marks turned end for end is no second set of marks.
+#[test]
+fn a_second_set_of_marks_is_mentioned_and_a_row_turned_round_is_not() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let at = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let warned = |points: &[(f64, f64)], marks: &[(f64, f64)]| {
+        let mut candidates = String::from("x,y\n");
+        marks.iter().for_each(|(e, n)| candidates.push_str(&format!("{},{}\n", 20.0 * e + 100.0, 3000.0 - 20.0 * n)));
+        let mut list = String::from("name,easting,northing\n");
+        let row = |(i, (e, n)): (usize, &(f64, f64))| format!("P{i},{},{}\n", 570_000.0 + e, 7_032_000.0 + n);
+        list.extend(points.iter().enumerate().map(row));
+        std::fs::write(at("c.csv"), candidates).expect("writable");
+        std::fs::write(at("l.csv"), list).expect("writable");
+        let some = ["solve", &at("c.csv"), "--gcps", &at("l.csv"), "--crs", "EPSG:25832", "--gsd", "0.05"];
+        let document = document(&[&some[..], &["--size", "3000,3200", "--json"]].concat());
+        assert_eq!(document["status"], "solved", "{document}");
+        (document["warnings"].to_string(), document["runner_up"].clone())
+    };
+    let mut random = SplitMix64(12);
+    let mut anywhere = |_| (130.0 * random.unit(), 130.0 * random.unit());
+    let points: Vec<(f64, f64)> = (0..12).map(&mut anywhere).collect();
+    let new = points.iter().step_by(3).chain(&points[1..2]).map(|(e, n)| (e + 1.2, n + 0.9));
+    let marks: Vec<(f64, f64)> = points.iter().copied().chain(new).collect();
+    let (warnings, other) = warned(&points, &marks);
+    assert!(warnings.contains("5 points of this list fit other marks"), "{warnings} {other}");
+    let row = (0..9).map(|i| (10.0 * f64::from(i), 5.0));
+    let points: Vec<(f64, f64)> = row.chain((0..14).map(anywhere)).collect();
+    let (warnings, other) = warned(&points, &points);
+    assert!(other["log10_false_alarms"].as_f64().is_some_and(|log10| log10 < -4.0), "{other}");
+    assert!(!warnings.contains("fit other marks"), "{warnings}");
 }
 
 #[test]

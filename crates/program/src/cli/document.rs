@@ -8,6 +8,7 @@ use autoref_raster::RasterInfo;
 use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
 use autoref_raster::crs::{Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::memory_plan;
+use autoref_raster::words::counted;
 use autoref_stream::candidate::{Candidate, least_whole_area_px};
 use autoref_stream::gcp::GcpList;
 use autoref_stream::matching::diagnosis::Diagnosis;
@@ -247,7 +248,26 @@ fn fit_notes(result: &RunResult, orientation: &Orientation, list: &GcpList) -> V
         notes.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")));
     }
     notes.extend(near_misses(&result.candidates, orientation, list));
+    notes.extend(other_pattern(orientation));
     notes
+}
+
+/// A second pattern of other marks that would be believed, were it alone: old marks beside new ones. One that lies on
+/// the marks of the first is a row or a grid that repeats itself, and was told apart.
+fn other_pattern(orientation: &Orientation) -> Option<String> {
+    const BELIEVED_LOG10: f64 = -4.0;
+    let best = &orientation.evidence.pattern;
+    let other = orientation.evidence.runner_up.as_ref().filter(|other| other.log10_false_alarms <= BELIEVED_LOG10)?;
+    let is_joined = |candidate: usize| best.pairs.iter().any(|pair| pair.0 == candidate);
+    let shared = other.pairs.iter().filter(|pair| is_joined(pair.0)).count();
+    (2 * shared < other.pairs.len()).then(|| {
+        format!(
+            "{} of this list fit other marks of the image, too, and would be believed if these were all (10^{:.1}): where \
+             marks of two surveys are in the image, look whether those found are the right ones",
+            counted(other.pairs.len(), "point", "points"),
+            other.log10_false_alarms
+        )
+    })
 }
 
 /// How a doubt begins about a point whose mark is missing.

@@ -301,7 +301,8 @@ fn frame_camera(args: &ResectArgs, name: &str) -> Result<FrameCamera> {
         tracing::warn!("{note}");
     }
     let stated = args.size.as_ref().map(|s| [s[0], s[1]]);
-    let seen = args.frame.is_file().then(|| image_size(&args.frame, None)).transpose()?;
+    // A frame that GDAL does not read needs no more than its name where the size is known otherwise.
+    let seen = if args.frame.is_file() { image_size(&args.frame, None).ok() } else { None };
     if let (Some([w, h]), Some([width, height])) = (stated, seen)
         && [w, h] != [width, height]
     {

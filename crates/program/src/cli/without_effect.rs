@@ -180,7 +180,7 @@ fn below(command: &str, name: &str) -> String {
 fn missing(matches: &ArgMatches, needs: &Needs) -> Option<(String, Option<String>)> {
     let flag = |option: &str| format!("--{}", option.replace('_', "-"));
     match needs {
-        Given(other) if !is_given(matches, other) && knows(matches, other) => {
+        Given(other) if !is_given(matches, other) => {
             Some((format!(" where {} is not given", flag(other)), Some(format!("give {}", flag(other)))))
         }
         GivenOneOf(others) if !others.iter().any(|other| is_given(matches, other)) => {
@@ -202,11 +202,6 @@ fn missing(matches: &ArgMatches, needs: &Needs) -> Option<(String, Option<String
         Never(why) => Some((format!(": {why}"), None)),
         _ => None,
     }
-}
-
-/// Whether the command has such an option at all, given or not.
-fn knows(matches: &ArgMatches, option: &str) -> bool {
-    matches.try_contains_id(option).is_ok()
 }
 
 /// Whether an option has a value, its default perhaps. Clap answers questions about names that a command lacks in debug
@@ -301,6 +296,8 @@ mod tests {
                     Given(other) | Word(other, _) | NoWord(other, _) if has(other) => found.push(rule.1),
                     GivenOneOf(others) if others.iter().all(|other| has(other)) => found.push(rule.1),
                     Never(_) => found.push(rule.1),
+                    // A word that a command lacks is heeded by no rule; what must be given must be there.
+                    Given(_) => panic!("{path}: {}", rule.1),
                     _ => assert_eq!(rule.0, ANY, "{path}: {}", rule.1),
                 }
             }

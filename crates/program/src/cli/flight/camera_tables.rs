@@ -60,9 +60,11 @@ pub fn cameras(table: &Path, angles: Angles) -> Result<Vec<CameraRow>> {
             rows.len()
         );
     }
-    let states_angles = |row: &CameraRow| [row.yaw_deg, row.pitch_deg, row.roll_deg].iter().any(Option::is_some);
-    if angles == Angles::Aircraft && !rows.iter().any(states_angles) {
-        bail!("{}: states no yaw, pitch and roll, and --angles aircraft has no effect; leave it out", table.display());
+    if angles == Angles::Aircraft && rows.iter().all(|row| row.yaw_deg.is_none()) {
+        bail!(
+            "{}: states no yaw, pitch and roll of an aircraft; leave out --angles aircraft, or angles under [rough]",
+            table.display()
+        );
     }
     let rows: Vec<CameraRow> = rows.into_iter().map(|row| row.with_angles_of_view(angles)).collect();
     match rows.iter().find_map(|row| Some((row, apart_deg(row).filter(|deg| *deg > SAME_DEG)?))) {

@@ -67,7 +67,7 @@ pub fn files(
     let Some(f_px) = project.camera.f_px else {
         bail!("{}: MicMac needs a focal length; give camera.f_px", file.display())
     };
-    flight.refuse_blanks(file)?;
+    flight.refuse_blanks(file, "rename the frames")?;
     let size = image_size(&flight.folder.join(&flight.names[0]), None)?;
     let camera = FilmCamera { name: "film".into(), f_mm: f_px * pixel_mm, size_mm: size.map(|s| s * pixel_mm) };
     // Alternatives in full: any pattern of the project may take files that are no frames.

@@ -452,7 +452,7 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
     }
     if needs_reconstruction(&start) {
         let Some(model) = model else { bail!("{}: such a list needs its reconstruction", list.display()) };
-        if stated.is_some() {
+        if stated.as_ref().is_some_and(|crs| !is_wgs84(crs)) {
             bail!("{}: longitudes and latitudes of WGS 84, and --crs has no effect; leave it out", list.display());
         }
         return of_opensfm(list, model);
@@ -558,6 +558,11 @@ fn metric(mut points: Vec<ListPoint>, crs: Option<Crs>) -> Result<Control> {
         p.xyz = [at[0].x, at[0].y, p.xyz[2] * height_unit_m(&geographic) / height_unit_m(&utm)];
     }
     Ok(Control { points, crs: Some(utm), listed_in: Some(geographic), ..Control::default() })
+}
+
+/// Whether a system is the longitudes and latitudes of WGS 84.
+pub fn is_wgs84(crs: &Crs) -> bool {
+    crs.is_geographic() && matches!(crs.epsg(), Some(4326 | 4979))
 }
 
 fn of_opensfm(list: &Path, model: &Reconstruction) -> Result<Control> {

@@ -280,15 +280,15 @@ pub struct OrderedFrames {
 }
 
 impl OrderedFrames {
-    /// Refuses names that lists of pairs, in which blanks part one name from the next, cannot hold.
+    /// Refuses names that lists of pairs, in which blanks part one name from the next, cannot hold; `remedy` says what
+    /// to do.
     ///
     /// # Errors
     /// With the first such name.
-    pub fn refuse_blanks(&self, project: &Path) -> Result<()> {
+    pub fn refuse_blanks(&self, project: &Path, remedy: &str) -> Result<()> {
         match self.names.iter().find(|name| name.contains(char::is_whitespace)) {
             Some(name) => bail!(
-                "{}: the frame `{name}` has a blank in its name, which the lists of COLMAP and MicMac do not hold; rename the \
-                 frames, or solve with --engine pycolmap",
+                "{}: the frame `{name}` has a blank in its name, which the lists of COLMAP and MicMac do not hold; {remedy}",
                 project.display()
             ),
             None => Ok(()),

@@ -119,7 +119,7 @@ impl<'a> Ready<'a> {
         };
         let mut frames = ordered_frames(&project, &base)?;
         if args.engine != Engine::Pycolmap {
-            frames.refuse_blanks(&args.project)?;
+            frames.refuse_blanks(&args.project, "rename the frames, or solve with --engine pycolmap")?;
         }
         let crs = frames.rows_on_map(&project, &base, control.as_ref())?;
         match (&points, &control, &project.rough) {

@@ -78,13 +78,14 @@ fn posed_by_table(
         bail!("{}: has no row of `{name}`", file.display())
     };
     // Degrees are brought to the model's map; whatever their CRS is called, they are those of WGS 84.
-    if rows[i].geographic && args.crs.is_some() {
+    let stated = args.crs.as_deref().filter(|_| rows[i].geographic).map(Crs::parse).transpose()?;
+    if stated.is_some_and(|crs| !lists::is_wgs84(&crs)) {
         bail!(
             "{}: longitudes and latitudes, which are taken as those of WGS 84, and --crs has no effect; leave it out",
             file.display()
         );
     }
-    let frame = Frame::Map(args.crs.clone());
+    let frame = Frame::Map(args.crs.clone().filter(|_| !rows[i].geographic));
     let row = &camera_tables::on_map(vec![rows[i].clone()], file, model_crs)?[0];
     let Some(pose) = row.pose(None) else {
         bail!("{}: the row of `{name}` states no direction (yaw and pitch, or omega, phi, kappa)", file.display())
