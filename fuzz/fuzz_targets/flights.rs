@@ -4,7 +4,7 @@
 
 mod common;
 
-use autoref_flight::read::{micmac, opensfm, tables};
+use autoref_flight::read::{image_points, micmac, opensfm, tables};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {
@@ -28,7 +28,7 @@ fuzz_target!(|data: &[u8]| {
         }
         _ => {
             let _ = tables::cameras(path);
-            let _ = tables::image_points(path);
+            let _ = image_points::read(path);
         }
     }
 });

@@ -9,10 +9,11 @@
 //!
 //! A field of a chequer is a perfect square by itself. So a region is looked at together with paint that touches it.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Vector2;
 
 use super::Candidate;
 use super::examine::LEAST_CONTRAST;
+use super::half_turn::{MOST_MOVED_PX, Picture, SURELY_ALIKE, Turned};
 use super::hull::{convex_hull, edges, twice_area};
 use super::paint_share::Across;
 use super::pierced::with_cracked_off;
@@ -36,7 +37,7 @@ const MOST_FILL: f64 = 0.94;
 /// How far beyond the paint the shares are compared.
 const BESIDE_PX: usize = 2;
 /// Correlation of the shares of paint with themselves turned by half a turn, and by a quarter.
-const STRICT: Alike = Alike { half: 0.95, quarter: 0.9 };
+const STRICT: Alike = Alike { half: SURELY_ALIKE, quarter: 0.9 };
 /// The same of what leaves so much of its hull bare that no worn square or disc does: crosses sprayed by hand, with
 /// irregular arms.
 const SPRAYED: Alike = Alike { half: 0.85, quarter: 0.75 };
@@ -46,18 +47,8 @@ const MOST_FILL_SPRAYED: f64 = 0.8;
 const QUARTER_REACH: f64 = 0.7;
 /// Where the patch ends before that, at least so far.
 const LEAST_QUARTER_REACH: f64 = 0.25;
-/// Noise of neighbouring pixels goes together.
-const TOGETHER: f64 = 4.0;
-/// A standard deviation of the middle is hardly less, pixels.
-const LEAST_SIGMA_PX: f64 = 0.03;
-const ROUNDS: usize = 8;
-/// The middle moves no farther from where it was looked for.
-const MOST_MOVED_PX: f64 = 2.0;
 /// So far from the patch's edge shares are still told, wherever the middle moves.
 const SHOWN_PX: f64 = 2.0 * MOST_MOVED_PX + 2.0;
-
-/// With less in common a figure is none, whatever is left out.
-const LEAST_WITH_HOLES: f64 = 0.7;
 
 struct Alike {
     half: f64,
@@ -116,17 +107,18 @@ pub(super) fn figure(scene: &Scene<'_>, profile: &Profile) -> Figure {
         return Figure::No;
     }
     // Of a large chequer the patch of one field shows only a part of the other: the middle is where they meet.
-    let start = if all.at_edge() { meeting(&scene.own, &all, scene.width) } else { centroid(&all, scene.width) };
+    let start = || if all.at_edge() { meeting(&scene.own, &all, scene.width) } else { centroid(&all, scene.width) };
     let whole = scene.with_own(all.clone(), &scene.paint());
-    let Some((seen, candidate)) = symmetric(&whole, &scene.own, start) else { return Figure::No };
-    let is_figure = seen.is_at_least(&STRICT);
-    let may_be_sprayed = alone && fill <= MOST_FILL_SPRAYED && seen.is_at_least(&SPRAYED);
+    let is_figure = |seen: &Alike| seen.is_at_least(&STRICT);
+    let may_be_sprayed = |seen: &Alike| alone && fill <= MOST_FILL_SPRAYED && seen.is_at_least(&SPRAYED);
+    let is_alike = |seen: &Alike| is_figure(seen) || may_be_sprayed(seen);
+    let Some((seen, candidate)) = symmetric(&whole, &scene.own, start, is_alike) else { return Figure::No };
     let stands = alone || all.first() == scene.own.first();
     let likely = candidate.score.is_some_and(|score| score >= profile.examine.min_score);
     let wanted = matches!(profile.shape, Shape::Any | Shape::Cross);
-    if (is_figure || may_be_sprayed) && stands && likely && wanted {
+    if stands && likely && wanted {
         Figure::Is(Box::new(candidate))
-    } else if is_figure {
+    } else if is_figure(&seen) {
         Figure::Elsewhere
     } else {
         Figure::No
@@ -307,13 +299,20 @@ fn common_divisor(a: i64, b: i64) -> i64 {
     if b == 0 { a } else { common_divisor(b, a % b) }
 }
 
-/// The middle of what may be a figure, and how alike it is to itself.
-fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<(Alike, Candidate)> {
+/// The middle of what may be a figure, looked for from `start`, and how alike it is to itself; `None` of what is not
+/// alike enough.
+fn symmetric(
+    scene: &Scene<'_>,
+    part: &PixelSet,
+    start: impl Fn() -> Vector2<f64>,
+    is_enough: impl Fn(&Alike) -> bool,
+) -> Option<(Alike, Candidate)> {
     let paint = scene.plateau();
     let across = Across::between(scene.ring_ground()?, paint);
     if across.contrast < LEAST_CONTRAST {
         return None;
     }
+    let start = start();
     let shares: Vec<f64> = across.shares(scene).into_iter().map(|share| share.clamp(-0.5, 1.5)).collect();
     let picture = Picture { shares: &shares, width: scene.width, height: scene.height };
     // What the patch shows of both sides.
@@ -344,7 +343,7 @@ fn symmetric(scene: &Scene<'_>, part: &PixelSet, start: Vector2<f64>) -> Option<
     let near: Vec<Vector2<f64>> = places_within(scene, turned.middle, look_px).filter(is_whole).collect();
     let quarter = picture.correlation(&near, by_quarter)?;
     let alike = Alike { half: turned.correlation, quarter: quarter.abs() };
-    if !alike.is_at_least(&SPRAYED) {
+    if !is_enough(&alike) {
         return None;
     }
     let score = RING_LOOK.score(across.contrast, (turned.mean_square / 2.0).sqrt(), 0.0);
@@ -416,7 +415,10 @@ fn centroid(set: &PixelSet, width: usize) -> Vector2<f64> {
 
 /// Half-way between the part and the rest of a set, where they are nearest to each other.
 fn meeting(part: &PixelSet, all: &PixelSet, width: usize) -> Vector2<f64> {
-    let rest: Vec<Vector2<f64>> = all.minus(part).iter().map(|i| centre_of(i, width)).collect();
+    // Of two sets the nearest pixels lie on their borders: from any other one a neighbour is nearer.
+    let border = |set: &PixelSet| set.minus(&set.shrunk(1));
+    let rest: Vec<Vector2<f64>> = border(&all.minus(part)).iter().map(|i| centre_of(i, width)).collect();
+    let part = border(part);
     let pairs = part.iter().map(|i| centre_of(i, width)).flat_map(|p| rest.iter().map(move |q| (p, *q)));
     let nearest = pairs.min_by(|a, b| (a.0 - a.1).norm_squared().total_cmp(&(b.0 - b.1).norm_squared()));
     nearest.map_or_else(|| centroid(all, width), |(p, q)| (p + q) / 2.0)
@@ -438,145 +440,6 @@ fn places_within<'s>(
     reach_px: f64,
 ) -> impl Iterator<Item = Vector2<f64>> + 's {
     scene.valid.iter().map(|i| centre_of(i, scene.width)).filter(move |p| (p - middle).norm() <= reach_px)
-}
-
-/// Shares of paint, pixel by pixel.
-struct Picture<'a> {
-    shares: &'a [f64],
-    width: usize,
-    height: usize,
-}
-
-/// A picture that was turned by half a turn onto itself.
-struct Turned {
-    middle: Vector2<f64>,
-    correlation: f64,
-    /// Of the difference of two shares of paint.
-    mean_square: f64,
-    /// Inverse of the normal equations of the middle.
-    inverse: Matrix2<f64>,
-}
-
-impl Picture<'_> {
-    /// Between the middles of four pixels; `None` outside.
-    fn at(&self, p: Vector2<f64>) -> Option<f64> {
-        let (x, y) = (p.x - 0.5, p.y - 0.5);
-        if !(x >= 0.0 && y >= 0.0 && x < (self.width - 1) as f64 && y < (self.height - 1) as f64) {
-            return None;
-        }
-        let (column, row) = (x as usize, y as usize);
-        let (u, v) = (x - column as f64, y - row as f64);
-        let s = |dx: usize, dy: usize| self.shares[(row + dy) * self.width + column + dx];
-        Some((s(0, 0) * (1.0 - u) + s(1, 0) * u) * (1.0 - v) + (s(0, 1) * (1.0 - u) + s(1, 1) * u) * v)
-    }
-
-    /// The same with the slope: half the difference of the places a pixel ahead and a pixel behind.
-    fn with_slope(&self, p: Vector2<f64>) -> Option<(f64, Vector2<f64>)> {
-        let (x, y) = (p.x - 0.5, p.y - 0.5);
-        if !(x >= 1.0 && y >= 1.0 && x < (self.width - 2) as f64 && y < (self.height - 2) as f64) {
-            return None;
-        }
-        let (column, row) = (x as usize, y as usize);
-        let (u, v) = (x - column as f64, y - row as f64);
-        let first = (row - 1) * self.width + column - 1;
-        // Between columns: of four rows of four.
-        let rows: [[f64; 3]; 4] = std::array::from_fn(|dy| {
-            let s = &self.shares[first + dy * self.width..][..4];
-            std::array::from_fn(|dx| s[dx] * (1.0 - u) + s[dx + 1] * u)
-        });
-        let between = |dx: usize, dy: usize| rows[dy][dx] * (1.0 - v) + rows[dy + 1][dx] * v;
-        let slope = Vector2::new(between(2, 1) - between(0, 1), between(1, 2) - between(1, 0)) / 2.0;
-        Some((between(1, 1), slope))
-    }
-
-    /// Correlation of the shares at some places with those where the places come to lie.
-    fn correlation(&self, places: &[Vector2<f64>], to: impl Fn(Vector2<f64>) -> Vector2<f64>) -> Option<f64> {
-        let pairs: Vec<(f64, f64)> =
-            places.iter().map(|p| Some((self.at(*p)?, self.at(to(*p))?))).collect::<Option<_>>()?;
-        let n = pairs.len() as f64;
-        let (a, b) = (pairs.iter().map(|p| p.0).sum::<f64>() / n, pairs.iter().map(|p| p.1).sum::<f64>() / n);
-        let sum = |of: fn(f64, f64) -> f64| pairs.iter().map(|p| of(p.0 - a, p.1 - b)).sum::<f64>();
-        let scatter = (sum(|x, _| x * x) * sum(|_, y| y * y)).sqrt();
-        (scatter > 0.0).then(|| sum(|x, y| x * y) / scatter)
-    }
-
-    /// Scatter of the sum by which what does not meet itself pulls at the middle. An irregular outline errs together
-    /// over a part of an arm: places near each other are taken together, by a weight that falls to 0 (T. G. Conley,
-    /// "GMM estimation with cross sectional dependence", 1999, equation 3.15, with a round cone for a weight).
-    fn pull(&self, places: &[Vector2<f64>], middle: Vector2<f64>) -> Option<Matrix2<f64>> {
-        /// The weight reaches so far, as a share of the figure's half width.
-        const REACH: f64 = 0.6;
-        let half = places.iter().map(|p| (p - middle).norm()).fold(0.0, f64::max);
-        let pulls: Vec<(Vector2<f64>, Vector2<f64>)> = places
-            .iter()
-            .map(|p| {
-                let (there, slope) = self.with_slope(2.0 * middle - p)?;
-                Some((*p, -2.0 * slope * (self.at(*p)? - there)))
-            })
-            .collect::<Option<_>>()?;
-        let mut scatter = Matrix2::zeros();
-        for (k, (p, pull)) in pulls.iter().enumerate() {
-            let near = |other: &Vector2<f64>| (1.0 - (p - other).norm() / (REACH * half)).max(0.0);
-            let beside = pulls[k + 1..].iter().map(|(other, pull)| pull * near(other)).sum::<Vector2<f64>>();
-            scatter += pull * pull.transpose() + pull * beside.transpose() + beside * pull.transpose();
-        }
-        Some(scatter)
-    }
-
-    /// The middle about which the shares turn onto themselves, by Gauss and Newton from `middle`; `None` where they
-    /// never do.
-    fn turned_half(&self, places: &[Vector2<f64>], mut middle: Vector2<f64>) -> Option<Turned> {
-        /// Near its middle a figure is alike already; most else is not, and the way to the middle is long.
-        const LEAST_AT_START: f64 = 0.5;
-        let start = middle;
-        if self.correlation(places, |p| 2.0 * start - p)? < LEAST_AT_START {
-            return None;
-        }
-        let mut normal = Matrix2::zeros();
-        let mut square = 0.0;
-        for _ in 0..ROUNDS {
-            normal = Matrix2::zeros();
-            square = 0.0;
-            let mut right = Vector2::zeros();
-            for p in places {
-                let (there, slope) = self.with_slope(2.0 * middle - p)?;
-                let left = self.at(*p)? - there;
-                // Moving the middle by one moves the turned place by two.
-                let slope = -2.0 * slope;
-                normal += slope * slope.transpose();
-                right -= slope * left;
-                square += left * left;
-            }
-            let step = normal.cholesky()?.solve(&right);
-            middle += step;
-            if (middle - start).norm() > MOST_MOVED_PX {
-                return None;
-            }
-            if step.norm() < 1e-4 {
-                break;
-            }
-        }
-        let correlation = self.correlation(places, |p| 2.0 * middle - p)?;
-        if correlation < LEAST_WITH_HOLES {
-            return None;
-        }
-        let inverse = normal.try_inverse()?;
-        Some(Turned { middle, correlation, mean_square: square / places.len() as f64, inverse })
-    }
-
-    /// Covariance of the middle about which these places were turned, px².
-    fn covariance_px2(&self, turned: &Turned, places: &[Vector2<f64>]) -> Option<[f64; 3]> {
-        let Turned { middle, correlation, mean_square, inverse } = *turned;
-        // Each two places are compared twice.
-        let by_noise = inverse * (2.0 * TOGETHER * mean_square);
-        // What both halves of an irregular outline have in common pulls too, and is not seen: of crosses that were
-        // drawn with wavy arms three times what is.
-        let irregular = ((1.0 - correlation) / (1.0 - STRICT.half)).min(1.0);
-        let by_outline = inverse * (2.0 * (1.0 + 3.0 * irregular) * self.pull(places, middle)?) * inverse;
-        let inverse = if by_outline.trace() > by_noise.trace() { by_outline } else { by_noise };
-        let least = LEAST_SIGMA_PX * LEAST_SIGMA_PX;
-        Some([inverse[(0, 0)] + least, inverse[(0, 1)], inverse[(1, 1)] + least])
-    }
 }
 
 #[cfg(test)]

@@ -20,6 +20,7 @@ pub mod examine;
 mod figure;
 pub mod fit;
 pub mod gates;
+mod half_turn;
 mod hull;
 pub(crate) mod inside;
 mod jpeg_fit;

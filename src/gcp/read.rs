@@ -421,7 +421,7 @@ fn refuse_geocentric(path: &Path, points: &[RawPoint]) -> Result<()> {
 /// # Errors
 /// [`Error::Format`] with the first point that has one.
 pub(super) fn refuse_beyond_poles(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<()> {
-    let is_degrees = crs.is_geographic() && !crs.unit_name().to_lowercase().contains("grad");
+    let is_degrees = crs.counts_degrees();
     match points.iter().find(|p| is_degrees && p.gcp.northing.abs() > 90.0) {
         Some(bad) => Err(Error::format(
             path,
@@ -447,7 +447,7 @@ fn refuse_degrees_of_map(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<
 
 /// A system in degrees has no larger numbers.
 fn refuse_no_degrees(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<()> {
-    if !crs.is_geographic() || crs.unit_name().to_lowercase().contains("grad") || within_degrees(points) {
+    if !crs.counts_degrees() || within_degrees(points) {
         return Ok(());
     }
     // A longitude may count from 0 to 360.

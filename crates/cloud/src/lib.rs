@@ -1,5 +1,5 @@
 //! Point clouds, cleaned and gridded in streams: whatever their size, in bounded memory, with the same answer as if all
-//! points were in memory.
+//! points were in memory. `docs/cloud.md` has the method and the limits. This crate imports `autoref-raster`.
 
 pub mod clean;
 pub mod crop;

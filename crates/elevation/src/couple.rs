@@ -150,14 +150,9 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
 /// By how much longitudes of one place may differ.
 pub(crate) const TURN_DEGREES: f64 = 360.0;
 
-/// Whether a system's coordinates are longitudes and latitudes in degrees.
-pub(crate) fn counts_degrees(crs: &Crs) -> bool {
-    crs.is_geographic() && crs.unit_name().starts_with("deg")
-}
-
 /// A where B counts its longitudes: files count them from −180° or from 0°, so that one place may differ by a turn.
 fn in_turn_of(a: Model, b: &Model) -> Model {
-    let degrees = |model: &Model| model.crs().is_some_and(counts_degrees);
+    let degrees = |model: &Model| model.crs().is_some_and(Crs::counts_degrees);
     if !(degrees(&a) && degrees(b)) || a.grid().overlap(&b.grid()).is_some() {
         return a;
     }

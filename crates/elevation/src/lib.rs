@@ -3,7 +3,8 @@
 //!
 //! The algorithms see heights through [`source::Heights`], in windows, and keep sums whose value does not depend on the
 //! order of their terms ([`autoref_raster::exact_sum`]): the size of the tiles and the number of threads never change a
-//! result by a bit.
+//! result by a bit. `docs/elevation.md` and `docs/mosaic.md` have the methods and the limits. This crate imports
+//! `autoref-raster`.
 
 #![deny(unsafe_code)]
 

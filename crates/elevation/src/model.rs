@@ -70,7 +70,14 @@ impl Model {
         let [_, south, _, north] = grid.bounds();
         // Grids that are registered on the poles reach half a cell beyond.
         let reach = 90.0 + grid.step_y.abs();
-        let degrees = crs.as_ref().is_some_and(|crs| crs.is_geographic() && crs.unit_name().starts_with("deg"));
+        if let Some(crs) = crs.as_ref().filter(|crs| crs.is_geographic() && !crs.counts_degrees()) {
+            return Err(Error::unsupported(
+                path,
+                format!("longitudes and latitudes in {}", crs.unit_name()),
+                "bring it to a CRS in degrees or metres with gdalwarp",
+            ));
+        }
+        let degrees = crs.as_ref().is_some_and(Crs::counts_degrees);
         if degrees && !(south >= -reach && north <= reach) {
             let what = format!("latitudes from {south} to {north} degrees");
             return Err(Error::unsupported(path, what, how_to_name_crs(path)));

@@ -8,7 +8,7 @@
 //!
 //! Only windows that can hold marks are read ([`window`]); a frame costs the same memory however large its scan is.
 //! `docs/film.md` has the method, the measured table and the limits. [`drawn`] draws frames with known truth. This
-//! crate imports `autoref-raster`, `autoref-solve`, `autoref-review` and `autoref-synth`.
+//! crate imports `autoref-cosine`, `autoref-raster`, `autoref-review`, `autoref-solve` and `autoref-synth`.
 
 #![deny(unsafe_code)]
 

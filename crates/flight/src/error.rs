@@ -8,18 +8,9 @@ use autoref_raster::bounded;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The file breaks the rules of its format.
-    #[error("{}: {place}: {what}", path.display())]
-    Format { path: PathBuf, place: String, what: String },
-    /// The caller asked for something that cannot be.
-    #[error("{what}; {remedy}")]
-    Usage { what: String, remedy: String },
-    /// The operating system said no.
-    #[error("{}: cannot {action}: {source}", path.display())]
-    Io { path: PathBuf, action: String, source: std::io::Error },
-    /// A file could not be read within its bounds.
+    /// A file, a request or the system, as everywhere in the house.
     #[error(transparent)]
-    File(#[from] autoref_raster::Error),
+    Raster(#[from] autoref_raster::Error),
     /// It ran, and the data carry no result.
     #[error("{what}; {remedy}")]
     NoResult { what: String, remedy: String },
@@ -29,13 +20,13 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
     pub fn format(path: impl Into<PathBuf>, place: impl Into<String>, what: impl Into<String>) -> Self {
-        Error::Format { path: path.into(), place: place.into(), what: what.into() }
+        Error::Raster(autoref_raster::Error::format(path, place, what))
     }
     pub fn usage(what: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Error::Usage { what: what.into(), remedy: remedy.into() }
+        Error::Raster(autoref_raster::Error::usage(what, remedy))
     }
     pub fn io(path: impl Into<PathBuf>, action: impl Into<String>, source: std::io::Error) -> Self {
-        Error::Io { path: path.into(), action: action.into(), source }
+        Error::Raster(autoref_raster::Error::io(path, action, source))
     }
     pub fn no_result(what: impl Into<String>, remedy: impl Into<String>) -> Self {
         Error::NoResult { what: what.into(), remedy: remedy.into() }

@@ -1,4 +1,13 @@
 //! From photographs to cameras that know where they stood.
+//!
+//! ```text
+//! frames, table → Start → ties → relative orientation → bundle adjustment on GCPs → cameras with covariances
+//! ```
+//!
+//! Reads what other programs made ([`read`]), orients single photographs ([`resect`]), adjusts blocks ([`adjust`] over
+//! [`bundle`]), lays frames onto an elevation model ([`ortho`]) and renders flights with known truth ([`render`]).
+//! `docs/flight.md` has the method, what was measured and the limits; `docs/coordinates.md` the conventions of pixels,
+//! angles and units. This crate imports `autoref-raster` and `autoref-synth`.
 
 pub mod adjust;
 pub mod bundle;

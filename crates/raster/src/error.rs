@@ -83,8 +83,8 @@ impl Error {
 
 /// What helps when the system refuses to write; reading has no remedy but another file.
 fn remedy(action: &str, kind: ErrorKind) -> &'static str {
-    let writes =
-        ["write", "create", "put in place", "bring to disk", "keep while"].iter().any(|verb| action.starts_with(verb));
+    const READS: [&str; 8] = ["read", "open", "find", "list", "look at", "seek", "resolve", "ask for"];
+    let writes = action == "open for writing" || !READS.iter().any(|verb| action.starts_with(verb));
     match kind {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "; make room there, or name an output on another disk",
         ErrorKind::FileTooLarge => "; name an output on a disk that takes larger files, or raise the limit (ulimit -f)",

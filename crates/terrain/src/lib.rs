@@ -2,7 +2,7 @@
 //! borders and text.
 //!
 //! Pixel coordinates: x to the right, y down, (0, 0) at the outer corner of the first pixel. True in a
-//! [`bits::BitMask`] means keep.
+//! [`bits::BitMask`] means keep. `docs/masks.md` has the method and the limits. This crate imports `autoref-raster`.
 
 pub mod area;
 pub mod batch;

@@ -5,7 +5,7 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
-use laz::{LasZipDecompressor, LazVlr};
+use laz::{LasZipDecompressor, LasZipError, LazVlr};
 
 use super::las_header::LasHeader;
 use super::{Format, Header, PointReader, Precision};
@@ -97,27 +97,21 @@ fn unpack(
     mut reader: BufReader<File>,
     file_bytes: u64,
 ) -> Result<(Unpacker, Option<u64>)> {
-    let bad = |what: String| {
-        let what = if what.contains("failed to fill whole buffer") {
-            "the file ends before: it is truncated".into()
-        } else {
-            what
-        };
-        Error::format(path, "LASzip record", what)
-    };
+    let bad = |what: String| Error::format(path, "LASzip record", what);
     let vlr = header.vlr("laszip encoded", 22_204).ok_or_else(|| bad("points are packed but it is missing".into()))?;
     // Compressor 1 packs points without chunks, as LASzip did before 1.2r1.
     if vlr.content.get(..2) == Some(&[1, 0]) {
         let remedy = "write it anew with laszip 2 or later, or as LAS, first";
         return Err(Error::unsupported(path, "the LASzip compressor without chunks (before 2011)", remedy));
     }
-    let vlr = LazVlr::from_buffer(&vlr.content).map_err(|e| bad(e.to_string()))?;
+    let damaged = |fault: Fault| bad(fault.said(TRUNCATED));
+    let vlr = LazVlr::from_buffer(&vlr.content).map_err(|e| damaged(e.into()))?;
     if vlr.items_size() != header.record_bytes as u64 {
         let what = format!("it packs {} bytes a point, the header says {}", vlr.items_size(), header.record_bytes);
         return Err(bad(what));
     }
     let chunks = check_chunk_table(path, header, &mut reader, file_bytes)?;
-    let unpacker = guarded(|| LasZipDecompressor::new(reader, vlr).map_err(|e| e.to_string())).map_err(bad)?;
+    let unpacker = guarded(|| Ok(LasZipDecompressor::new(reader, vlr)?)).map_err(damaged)?;
     Ok((unpacker, chunks))
 }
 
@@ -162,10 +156,46 @@ fn check_chunk_table(
     Ok(counted)
 }
 
+const TRUNCATED: &str = "the file ends before: it is truncated";
+
+/// Why points cannot be read.
+enum Fault {
+    /// The data end before the points do.
+    Ended,
+    Other(String),
+}
+
+impl Fault {
+    fn said(self, where_they_end: &str) -> String {
+        match self {
+            Fault::Ended => where_they_end.to_string(),
+            Fault::Other(what) => what,
+        }
+    }
+}
+
+impl From<std::io::Error> for Fault {
+    fn from(error: std::io::Error) -> Fault {
+        match error.kind() {
+            std::io::ErrorKind::UnexpectedEof => Fault::Ended,
+            _ => Fault::Other(error.to_string()),
+        }
+    }
+}
+
+impl From<LasZipError> for Fault {
+    fn from(error: LasZipError) -> Fault {
+        match error {
+            LasZipError::IoError(error) => error.into(),
+            other => Fault::Other(other.to_string()),
+        }
+    }
+}
+
 /// The unpacker gives up by a panic on some corrupt data: that becomes an error like any other.
-fn guarded<T>(work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
+fn guarded<T>(work: impl FnOnce() -> Result<T, Fault>) -> Result<T, Fault> {
     crate::quiet::quietly(|| catch_unwind(AssertUnwindSafe(work)))
-        .unwrap_or_else(|_| Err("the packed data are corrupt".into()))
+        .unwrap_or_else(|_| Err(Fault::Other("the packed data are corrupt".into())))
 }
 
 impl PointReader for LasReader {
@@ -180,18 +210,14 @@ impl PointReader for LasReader {
         let last = self.read + count as u64;
         let raw = &mut batch.raw[..];
         match &mut self.source {
-            Source::Plain(reader) => reader.read_exact(raw).map_err(|e| e.to_string()),
-            Source::Packed(unpacker) => guarded(|| unpacker.decompress_many(raw).map_err(|e| e.to_string())),
+            Source::Plain(reader) => reader.read_exact(raw).map_err(Fault::from),
+            Source::Packed(unpacker) => guarded(|| Ok(unpacker.decompress_many(raw)?)),
         }
-        .map_err(|what| {
+        .map_err(|fault| {
             // A file with a table of chunks at its end has its end.
-            let ends = if self.complete {
-                "the packed data are damaged; take another copy of the file"
-            } else {
-                "the file ends before: it is truncated"
-            };
-            let what = what.replace("failed to fill whole buffer", ends);
-            Error::format(&self.path, format!("points {first} to {last} of {}", self.points), what)
+            let ends =
+                if self.complete { "the packed data are damaged; take another copy of the file" } else { TRUNCATED };
+            Error::format(&self.path, format!("points {first} to {last} of {}", self.points), fault.said(ends))
         })?;
         self.read = last;
         let (scale, offset) = (self.scale, self.offset);

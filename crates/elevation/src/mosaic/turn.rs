@@ -1,6 +1,6 @@
 //! Sources on both sides of ±180°, whose longitudes jump there by a turn.
 
-use crate::couple::{TURN_DEGREES, counts_degrees};
+use crate::couple::TURN_DEGREES;
 use crate::crs::Crs;
 use crate::grid::Grid;
 
@@ -31,7 +31,7 @@ pub fn bring_to(companion: &mut Source, source: &Grid) {
 }
 
 fn is_in_degrees(source: &Source) -> bool {
-    Crs::parse(&source.wkt).is_ok_and(|crs| counts_degrees(&crs))
+    Crs::parse(&source.wkt).is_ok_and(|crs| crs.counts_degrees())
 }
 
 fn west_and_east(grid: &Grid) -> (f64, f64) {

@@ -2,6 +2,7 @@
 
 mod affinity;
 pub mod colmap;
+pub mod image_points;
 pub mod micmac;
 pub mod opensfm;
 mod own;
@@ -168,6 +169,14 @@ fn any_reconstruction(path: &Path) -> Result<Reconstruction> {
             "is of no known reconstruction; give the folder of COLMAP's model, of MicMac's orientations, or reconstruction.json",
         )),
     }
+}
+
+/// A file of this text, which goes with the second.
+#[cfg(test)]
+fn text_file(text: &str) -> (std::path::PathBuf, tempfile::TempPath) {
+    let file = tempfile::NamedTempFile::new().expect("writable").into_temp_path();
+    std::fs::write(&file, text).expect("writable");
+    (file.to_path_buf(), file)
 }
 
 #[cfg(test)]

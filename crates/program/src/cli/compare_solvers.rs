@@ -182,8 +182,13 @@ fn of_table(path: &Path) -> anyhow::Result<Vec<Row>> {
             return Err(Error::format(path, &place, "x and y are needed; complete or remove the row").into());
         };
         let plan = number("easting")?.zip(number("northing")?);
+        let name = text("name").map_or_else(|| (i + 1).to_string(), str::to_owned);
+        if rows.iter().any(|row: &Row| row.name == name) {
+            let what = format!("a second point is called `{}`; give each its own name", crate::printable(&name));
+            return Err(Error::format(path, &place, what).into());
+        }
         rows.push(Row {
-            name: text("name").map_or_else(|| (i + 1).to_string(), str::to_owned),
+            name,
             pixel: PixelPoint { x, y },
             elevation_m: number("elevation")?,
             plan: plan.map(|(easting, northing)| MapPoint { easting, northing }),

@@ -37,10 +37,7 @@ fn parts(error: &Error) -> Parts<'_> {
 fn flight(error: &anyhow::Error) -> Parts<'_> {
     use autoref_flight::Error;
     match error.chain().find_map(|cause| cause.downcast_ref::<Error>()) {
-        Some(Error::File(inner)) => parts(inner),
-        Some(Error::Format { path, place, .. }) => ("format", Some(path), Some(place), None),
-        Some(Error::Usage { remedy, .. }) => ("usage", None, None, Some(remedy)),
-        Some(Error::Io { path, .. }) => ("io", Some(path), None, None),
+        Some(Error::Raster(inner)) => parts(inner),
         Some(Error::NoResult { remedy, .. }) => ("refused", None, None, Some(remedy)),
         Some(_) | None => ("other", None, None, None),
     }

@@ -54,7 +54,7 @@ pub fn pointed(all: &[At], first: &Path) -> anyhow::Result<Vec<Pointed>> {
             }
             At::File(file) => file,
         };
-        let (_, rows) = autoref_flight::read::tables::image_points(file)?;
+        let (_, rows) = autoref_flight::read::image_points::read(file)?;
         let name = first.file_name().unwrap_or_default().to_string_lossy();
         let before = places.len();
         for row in rows {

@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::path::Path;
 use std::process::ExitCode;
 
+use clap::Command;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use serde_json::json;
 
@@ -16,7 +17,7 @@ pub fn tell(error: &clap::Error, arguments: &[OsString]) -> ExitCode {
         return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
     }
     let help = help(arguments);
-    let said = about_files(error).unwrap_or_else(|| about_negatives(message(error), arguments));
+    let said = said(error, arguments);
     let line = format!("{said}; see {help}");
     out::error_line(&format!("autoref-stream: {line}"));
     if arguments.iter().take_while(|a| *a != "--").any(|a| a == "--json") {
@@ -25,6 +26,13 @@ pub fn tell(error: &clap::Error, arguments: &[OsString]) -> ExitCode {
         out::product(&format!("{}\n", serde_json::to_string_pretty(&json!({"error": said})).expect("plain data")));
     }
     ExitCode::from(2)
+}
+
+/// What is wrong and, where it can be told, what to write instead.
+fn said(error: &clap::Error, arguments: &[OsString]) -> String {
+    about_commands(error, arguments)
+        .or_else(|| about_files(error, arguments))
+        .unwrap_or_else(|| about_negatives(message(error) + &about_commas(error), arguments))
 }
 
 /// The parser's paragraphs but those of usage and help, joined.
@@ -48,8 +56,29 @@ fn message(error: &clap::Error) -> String {
     crate::printable(paragraphs.join("; ").trim_start_matches("error: "))
 }
 
+/// A command with a slip in it is taken for the image, and the image behind it for a command.
+fn about_commands(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
+    error.get(ContextKind::InvalidSubcommand)?;
+    let word = arguments.get(1)?.to_str()?;
+    if Path::new(word).exists() || Path::new(word).extension().is_some() {
+        return None;
+    }
+    // The parser of commands alone finds the one that is meant.
+    let alone = Command::new("autoref-stream").subcommands(super::everywhere::command().get_subcommands().cloned());
+    match alone.try_get_matches_from(arguments.iter().take(2)).err()?.get(ContextKind::SuggestedSubcommand)? {
+        ContextValue::Strings(similar) => {
+            let shown = crate::printable(word);
+            Some(format!("`{shown}` is no command and no image; a similar command exists: {}", similar.first()?))
+        }
+        _ => None,
+    }
+}
+
 /// A second file behind the image is taken for a subcommand: what to do with it.
-fn about_files(error: &clap::Error) -> Option<String> {
+fn about_files(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
+    if arguments.get(1).and_then(|first| first.to_str()).is_some_and(is_command) {
+        return None;
+    }
     const PICTURES: [&str; 10] = ["tif", "tiff", "jpg", "jpeg", "png", "jp2", "vrt", "ecw", "img", "webp"];
     let word = match error.get(ContextKind::InvalidSubcommand)? {
         ContextValue::String(word) => word,
@@ -62,6 +91,22 @@ fn about_files(error: &clap::Error) -> Option<String> {
     } else {
         format!("`{shown}` stands without its option; give the list with --gcps {shown}")
     })
+}
+
+fn is_command(word: &str) -> bool {
+    super::everywhere::command().find_subcommand(word).is_some()
+}
+
+/// Numbers are written with a point.
+fn about_commas(error: &clap::Error) -> String {
+    match error.get(ContextKind::InvalidValue) {
+        Some(ContextValue::String(value)) if value.contains(',') => {
+            let pointed = value.trim().replace(',', ".");
+            let is_number = pointed.parse::<f64>().is_ok();
+            if is_number { format!("; tip: write {pointed}, with a decimal point") } else { String::new() }
+        }
+        _ => String::new(),
+    }
 }
 
 /// A negative number behind an option is taken for an option; the parser's advice would make it an argument of its own.
@@ -95,13 +140,12 @@ fn help(arguments: &[OsString]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{OsString, about_files, about_negatives, help, message};
+    use super::{OsString, help, said};
 
     fn refused(line: &str) -> (String, String) {
         let words: Vec<OsString> = ["autoref-stream"].into_iter().chain(line.split(' ')).map(OsString::from).collect();
         let error = crate::cli::everywhere::command().try_get_matches_from(&words).expect_err("a wrong option");
-        let said = about_files(&error).unwrap_or_else(|| about_negatives(message(&error), &words));
-        (said, help(&words))
+        (said(&error, &words), help(&words))
     }
 
     #[test]
@@ -114,6 +158,9 @@ mod tests {
             ("gcps converd", "convert", "--help"),
             ("a.tif w.csv", "give the list with --gcps w.csv", "autoref-stream --help"),
             ("a.tif b.tif --gcps w.csv", "`b.tif` is a second image: a run takes one", "autoref-stream --help"),
+            ("detct a.tif", "`detct` is no command and no image; a similar command exists: detect", "--help"),
+            ("gcps f.csv", "unrecognized subcommand 'f.csv'", "autoref-stream gcps --help"),
+            ("dem hillshade a.tif -o b.tif --z 1,5", "write 1.5, with a decimal point", "dem hillshade --help"),
             ("dem hillshade a.tif -o b.tif --z -1", "is written --z=-1", "dem hillshade --help"),
         ] {
             let (said, help) = refused(line);

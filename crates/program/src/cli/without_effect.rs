@@ -21,7 +21,7 @@ use Needs::{Given, GivenOneOf, Never, NoWord, Word};
 
 /// Every command that has both options; the main job.
 const ANY: &str = "";
-const JOB: &str = "autoref-stream";
+pub const JOB: &str = "autoref-stream";
 
 /// A command by its names, an option by its identifier, and what it needs. A rule holds for commands that have
 /// the other option: clap does not heed `requires` where what is required is excluded by an option that is given.
@@ -133,6 +133,12 @@ fn names_points(matches: &ArgMatches) -> bool {
     extension.is_some_and(|end| end.eq_ignore_ascii_case("json") || end.eq_ignore_ascii_case("csv"))
 }
 
+/// Options that a command takes with others of their kind and never heeds.
+pub fn never_heeded(command: &str) -> impl Iterator<Item = &'static str> {
+    let of = RULES.iter().filter(move |(of, _, needs)| *of == command && matches!(needs, Never(_)));
+    of.map(|(_, option, _)| *option)
+}
+
 /// Refuses an option that has no effect.
 ///
 /// # Errors
@@ -172,7 +178,7 @@ fn refuse_of(command: &str, matches: &ArgMatches) -> Result<(), Error> {
 }
 
 /// A command of a command by both names: `flight init`.
-fn below(command: &str, name: &str) -> String {
+pub fn below(command: &str, name: &str) -> String {
     if command == JOB { name.to_string() } else { format!("{command} {name}") }
 }
 

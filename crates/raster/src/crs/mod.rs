@@ -28,6 +28,8 @@ pub struct Crs {
     kind: Kind,
     /// Length of a unit of the horizontal axes in metres; 1 for geographic systems.
     metres_per_unit: f64,
+    /// Size of a unit of longitudes and latitudes; `None` for systems that have none.
+    radians_per_unit: Option<f64>,
     unit_name: String,
     /// Length of a unit of the vertical axis in metres, when there is one.
     height_metres_per_unit: Option<f64>,
@@ -152,6 +154,7 @@ impl Crs {
             name: reference.name().unwrap_or_default(),
             kind,
             metres_per_unit: if kind == Kind::Geographic { 1.0 } else { reference.linear_units() },
+            radians_per_unit: (kind == Kind::Geographic).then(|| reference.angular_units()),
             unit_name: if kind == Kind::Geographic {
                 reference.angular_units_name().unwrap_or_default()
             } else {
@@ -214,6 +217,13 @@ impl Crs {
     /// Of the horizontal axes.
     pub fn metres_per_unit(&self) -> f64 {
         self.metres_per_unit
+    }
+
+    /// Whether coordinates are longitudes and latitudes in degrees, not in grads and not on a map. Names do not tell:
+    /// a degree is `degree` in one file and `Degree` in another.
+    pub fn counts_degrees(&self) -> bool {
+        let degree = std::f64::consts::PI / 180.0;
+        self.radians_per_unit.is_some_and(|unit| (unit / degree - 1.0).abs() < 1e-6)
     }
 
     pub fn unit_name(&self) -> &str {
@@ -460,6 +470,16 @@ mod tests {
         let feet = heights("+proj=utm +zone=32 +datum=WGS84 +units=us-ft +vunits=us-ft").expect("three axes");
         assert!((feet - 1200.0 / 3937.0).abs() < 1e-12);
         assert!((heights("EPSG:2263+6360").expect("NAVD88 in feet") - 1200.0 / 3937.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn degrees_are_known_by_their_size() {
+        let esri = "GEOGCS[\"GCS_WGS_1984\",DATUM[\"D_WGS_1984\",SPHEROID[\"WGS_1984\",6378137.0,298.257223563]],\
+                    PRIMEM[\"Greenwich\",0.0],UNIT[\"Degree\",0.0174532925199433]]";
+        let grads = "EPSG:4807";
+        for (text, degrees) in [(esri, true), ("EPSG:4326", true), (grads, false), ("EPSG:25832", false)] {
+            assert_eq!(Crs::parse(text).expect(text).counts_degrees(), degrees, "{text}");
+        }
     }
 
     #[test]

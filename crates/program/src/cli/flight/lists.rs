@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use autoref_flight::adjust::{GroundPoint, Role};
-use autoref_flight::read::tables::{self, CameraRow};
+use autoref_flight::read::image_points;
+use autoref_flight::read::tables::CameraRow;
 use autoref_flight::read::{self, Reconstruction, micmac, opensfm, same_image};
 use autoref_flight::world::{Geodesy, World};
 use autoref_raster::bounded;
@@ -350,7 +351,7 @@ pub fn load(
             if file.extension().is_some_and(|e| e == "xml") {
                 measured.extend(micmac::read_image_points(file)?);
             } else {
-                let rows = tables::image_points(file)?.1.into_iter();
+                let rows = image_points::read(file)?.1.into_iter();
                 measured.extend(rows.filter_map(|p| Some((p.image, p.name, p.pixel?))));
             }
         }
@@ -457,8 +458,8 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
         }
         return of_opensfm(list, model);
     }
-    let measured = match tables::image_points(list) {
-        Err(error) if tables::begins_as_image_points(&start) || tables::has_pixel_columns(&start) => {
+    let measured = match image_points::read(list) {
+        Err(error) if image_points::begins_as_list(&start) || image_points::has_pixel_titles(&start) => {
             return Err(error.into());
         }
         other => other,
@@ -507,7 +508,7 @@ fn ground(list: &Path, crs: Option<&str>, model: Option<&Reconstruction>) -> Res
 }
 
 /// Points of all rows that name them.
-fn gathered(list: &Path, measured: Vec<tables::ImagePoint>) -> Result<Vec<ListPoint>> {
+fn gathered(list: &Path, measured: Vec<image_points::ImagePoint>) -> Result<Vec<ListPoint>> {
     let mut points: Vec<ListPoint> = Vec::new();
     for p in measured {
         let Some(xyz) = p.xyz else { continue };
