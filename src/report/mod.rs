@@ -77,7 +77,7 @@ struct Page<'a> {
     similarity: Option<Similarity>,
     solution: Option<&'a autoref_solve::Solution>,
     /// The transform of `--model`, when it is not the similarity.
-    chosen_model: Option<&'a serde_json::Value>,
+    chosen_model: Option<&'a crate::result::ChosenModel>,
     points: &'a [Point],
     candidates: &'a Candidates,
     chips: &'a [ChipData],

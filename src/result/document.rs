@@ -6,8 +6,8 @@ use std::borrow::Cow;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    FitFigures, ImageInfo, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunResult, SCHEMA_VERSION,
-    SolvedRun, Status, Timings,
+    ChosenModel, FitFigures, ImageInfo, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunResult,
+    SCHEMA_VERSION, SolvedRun, Status, Timings,
 };
 use crate::candidate::Candidate;
 use crate::gcp::Gcp;
@@ -77,7 +77,7 @@ pub(super) struct Document<'a> {
     #[serde(default)]
     heights: Option<HeightResult>,
     #[serde(default)]
-    chosen_model: Option<serde_json::Value>,
+    chosen_model: Option<ChosenModel>,
     #[serde(default)]
     warnings: Vec<String>,
     patch: Option<autoref_review::PatchFile>,

@@ -4,7 +4,7 @@ use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::planar::{self, Kind};
 use autoref_solve::similarity::Pair;
 
-use super::{MatchRow, SolvedRun};
+use super::{ChosenModel, MatchRow, SolvedRun};
 use crate::candidate::Candidate;
 
 /// A survey whose σ nobody states is this good, metres.
@@ -47,7 +47,7 @@ impl Misfit {
             return Some(Misfit::InPieces { marks, of: rows.len(), off_px: off_px[marks / 2] });
         }
         let (n, scale) = (rows.len() as f64, run.fit.scale_m_per_px);
-        let is_affine = run.chosen_model.as_ref().is_some_and(|model| model["model"] == "affine");
+        let is_affine = matches!(run.chosen_model, Some(ChosenModel::Affine(_)));
         // Half of its parameters, points' worth.
         let taken = if is_affine { 3.0 } else { 2.0 };
         if n < taken + 2.0 || scale.is_nan() || scale <= 0.0 {

@@ -1,6 +1,7 @@
 //! The result of a run: everything that was asked, seen, solved and written. `docs/formats.md` documents its JSON,
 //! `docs/result.schema.json` is the JSON Schema of it.
 
+mod chosen_model;
 mod document;
 mod misfit;
 
@@ -17,6 +18,7 @@ use autoref_raster::coords::GeoTransform;
 use autoref_raster::error::{Error, Result};
 use autoref_solve::{Similarity, Solution};
 
+pub use chosen_model::{ChosenModel, PlanarModel, SimilarityModel, Solver, SpatialModel, SpatialResidual};
 pub use misfit::{LEAST_MISFIT_PX, Misfit, residual_rms_px};
 
 /// Version of the layout; it grows when a field changes its meaning.
@@ -93,8 +95,8 @@ pub struct SolvedRun {
     pub fit: FitFigures,
     /// The similarity in the metres of the fit; `None` after the transform was carried to another raster.
     pub solution: Option<Solution>,
-    /// The transform of `--model`, beside the similarity.
-    pub chosen_model: Option<serde_json::Value>,
+    /// The transform of `--model` or `--solver`, beside the similarity or in its place.
+    pub chosen_model: Option<ChosenModel>,
     pub matches: Vec<MatchRow>,
     pub check_points: Vec<MatchRow>,
     /// GCPs that the transform puts inside the image.

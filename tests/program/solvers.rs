@@ -250,6 +250,11 @@ fn the_first_match_stands_and_solvers_differ_by_their_scale_only() {
             .map(|m| m["residual_e_m"].as_f64().expect("e").powi(2) + m["residual_n_m"].as_f64().expect("n").powi(2))
             .sum();
         near(&solved["rmse_m"], (squares / residuals.len() as f64).sqrt(), 1e-9);
+        // What is stated is of what is written.
+        let left_out = residuals.iter().map(|m| m["leave_one_out_m"].as_f64().expect("one can be left out").powi(2));
+        let left_out_m = (left_out.sum::<f64>() / residuals.len() as f64).sqrt();
+        near(&solved["accuracy"]["leave_one_out_m"], left_out_m, 1e-9);
+        assert!(left_out_m > solved["rmse_m"].as_f64().expect("a number"), "{solver}");
     }
     let compared = document(&["compare-solvers", &image, "--gcps", &list, "--json"]);
     near(
@@ -415,4 +420,15 @@ fn a_verdict_says_when_points_do_not_fit_as_those_of_an_orthophoto() {
         wiggle(x, y, if drawn.get() == 4 { 0.015 } else { 0.001 })
     });
     assert!(line.contains("agree with each other"), "{line}");
+}
+
+#[test]
+fn two_points_of_one_name_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let table = folder.path().join("t.csv");
+    std::fs::write(&table, "name,x,y,easting,northing\nA,1,2,3,4\nB,5,6,7,8\nA,9,9,9,9\n").expect("writable");
+    let refused = program(&["compare-solvers", table.to_str().expect("UTF-8")]);
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert_eq!(refused.status.code(), Some(2), "{said}");
+    assert!(said.contains("row 4: a second point is called `A`; give each its own name"), "{said}");
 }

@@ -7,7 +7,7 @@ use autoref_solve::accuracy::{self, CheckError, CornerError, StatementOptions};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::{GcpList, GcpRole};
 use autoref_stream::pipeline::reasons::Reason;
-use autoref_stream::result::{Misfit, RunResult, SolvedRun};
+use autoref_stream::result::{ChosenModel, Misfit, RunResult, SolvedRun};
 use clap::Args;
 
 /// Survey errors and the statement.
@@ -61,10 +61,10 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
             }
         })
         .collect();
-    let affine = solved.chosen_model.as_ref().filter(|model| model["model"] == "affine");
-    let leave_one_out: Vec<(f64, f64)> = match affine {
+    let written = solved.chosen_model.as_ref().and_then(ChosenModel::written_leave_one_out_m);
+    let leave_one_out: Vec<(f64, f64)> = match written {
         // What is written, not the similarity beside it.
-        Some(affine) => serde_json::from_value(affine["leave_one_out_m"].clone()).unwrap_or_default(),
+        Some(left_out) => left_out.iter().map(|&[e, n]| (e, n)).collect(),
         None => solution.pairs.iter().filter_map(|pair| pair.leave_one_out_e_m.zip(pair.leave_one_out_n_m)).collect(),
     };
     let options =

@@ -226,10 +226,10 @@ fn compare(rows: &[Row]) -> Vec<Value> {
         let solved = solver.in_space(&level);
         // A rotation in space turns a plane over where its points are a mirror image.
         if solved.as_ref().is_ok_and(|(orientation, _)| orientation.rotation[(2, 2)] <= 0.0) {
-            out.push(failed(Space::Plane, solver.json_name(), "pixels to metres", "the points are a mirror image"));
+            out.push(failed(Space::Plane, solver.solver().name(), "pixels to metres", "the points are a mirror image"));
             continue;
         }
-        out.push(entry(Space::Plane, solver.json_name(), "pixels to metres", &names, &level, solved));
+        out.push(entry(Space::Plane, solver.solver().name(), "pixels to metres", &names, &level, solved));
     }
     for (kind, name) in [(planar::Kind::Affine, "Affine"), (planar::Kind::Projective, "Projective")] {
         out.push(match planar::fit(&pairs, kind) {
@@ -261,7 +261,7 @@ fn compare(rows: &[Row]) -> Vec<Value> {
             .map(|r| PointPair { model: Vector3::new(at(r).easting, at(r).northing, elevation(r)), target: target(r) })
             .collect();
         for solver in SolverArg::ALL {
-            out.push(entry(Space::Full, solver.json_name(), "metres", &names, &metric, solver.in_space(&metric)));
+            out.push(entry(Space::Full, solver.solver().name(), "metres", &names, &metric, solver.in_space(&metric)));
         }
         // By what the survey states, where it states it for all.
         let weights: Option<Vec<f64>> = full.iter().map(|r| r.sigma_m.map(|s| s.powi(-2))).collect();
@@ -281,7 +281,7 @@ fn compare(rows: &[Row]) -> Vec<Value> {
         .map(|r| PointPair { model: Vector3::new(r.pixel.x, -r.pixel.y, elevation(r)), target: target(r) })
         .collect();
     for solver in SolverArg::ALL {
-        out.push(entry(Space::Full, solver.json_name(), "mixed", &names, &mixed, solver.in_space(&mixed)));
+        out.push(entry(Space::Full, solver.solver().name(), "mixed", &names, &mixed, solver.in_space(&mixed)));
     }
     out
 }

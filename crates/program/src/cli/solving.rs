@@ -15,7 +15,9 @@ use autoref_stream::georef::heights::{CopyPlace, write_corrected};
 use autoref_stream::pipeline::georeference::{Orientation, Outcome};
 use autoref_stream::pipeline::heights::{self, HeightResult, ModelFrame, PlacedModel};
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
-use autoref_stream::result::{RunResult, SolvedRun};
+use autoref_stream::result::{
+    ChosenModel, PlanarModel, RunResult, SimilarityModel, SolvedRun, Solver, SpatialModel, SpatialResidual,
+};
 use clap::{Args, ValueEnum};
 
 use crate::cli::document::NO_MARK_THERE;
@@ -81,14 +83,14 @@ impl SolverArg {
         absolute::solve(points, method).map(|o| (o, None))
     }
 
-    /// As the JSON of a result writes it.
-    pub fn json_name(self) -> &'static str {
+    /// As the JSON of a result names it.
+    pub fn solver(self) -> Solver {
         match self {
-            SolverArg::Horn => "Horn",
-            SolverArg::HornHilden => "HornHilden",
-            SolverArg::Umeyama => "Umeyama",
-            SolverArg::UmeyamaHornScale => "UmeyamaHornScale",
-            SolverArg::Kraus => "Kraus",
+            SolverArg::Horn => Solver::Horn,
+            SolverArg::HornHilden => Solver::HornHilden,
+            SolverArg::Umeyama => Solver::Umeyama,
+            SolverArg::UmeyamaHornScale => Solver::UmeyamaHornScale,
+            SolverArg::Kraus => Solver::Kraus,
         }
     }
 }
@@ -262,30 +264,33 @@ impl SolvingArgs {
         }
     }
 
-    fn describe(&self, space: &AbsoluteOrientation, sigma0_m: Option<f64>, names: &[String]) -> serde_json::Value {
+    fn describe(&self, space: &AbsoluteOrientation, sigma0_m: Option<f64>, names: &[String]) -> ChosenModel {
         let by_axis = space.rmse_by_axis();
-        let residuals: Vec<serde_json::Value> = names
-            .iter()
-            .zip(&space.residuals)
-            .map(|(gcp, r)| serde_json::json!({"gcp": gcp, "e_m": r.x, "n_m": r.y, "h_m": r.z}))
-            .collect();
-        let rows: Vec<Vec<f64>> = space.rotation.row_iter().map(|row| row.iter().copied().collect()).collect();
-        serde_json::json!({
-            "model": "7-parameter",
-            "solver": self.solver.unwrap_or(SolverArg::Umeyama).json_name(),
-            "from": "similarity's easting and northing of the marks, elevation of the model; metres",
-            "scale": space.scale,
-            "rotation": rows,
-            "roll_pitch_yaw_deg": absolute::roll_pitch_yaw_deg(&space.rotation),
-            "translation_m": space.translation.as_slice(),
-            "rmse_m": space.rmse,
-            "rmse_e_m": by_axis.x,
-            "rmse_n_m": by_axis.y,
-            "rmse_h_m": by_axis.z,
-            "sigma0_m": sigma0_m,
-            "residuals": residuals,
+        let residual = |(gcp, r): (&String, &nalgebra::Vector3<f64>)| SpatialResidual {
+            gcp: gcp.clone(),
+            e_m: r.x,
+            n_m: r.y,
+            h_m: r.z,
+        };
+        ChosenModel::SevenParameter(SpatialModel {
+            solver: self.solver.unwrap_or(SolverArg::Umeyama).solver(),
+            from: "similarity's easting and northing of the marks, elevation of the model; metres".into(),
+            scale: space.scale,
+            rotation: rows(&space.rotation),
+            roll_pitch_yaw_deg: absolute::roll_pitch_yaw_deg(&space.rotation),
+            translation_m: space.translation.into(),
+            rmse_m: space.rmse,
+            rmse_e_m: by_axis.x,
+            rmse_n_m: by_axis.y,
+            rmse_h_m: by_axis.z,
+            sigma0_m,
+            residuals: names.iter().zip(&space.residuals).map(residual).collect(),
         })
     }
+}
+
+fn rows(matrix: &nalgebra::Matrix3<f64>) -> [[f64; 3]; 3] {
+    std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)]))
 }
 
 fn pairs(orientation: &Orientation, list: &GcpList) -> Vec<Pair> {
@@ -307,31 +312,24 @@ pub fn again(result: &mut RunResult, recorded: &RunResult, orientation: &Orienta
     if recorded.heights.is_some() {
         result.warnings.push("heights were not compared again: a replay does not read the elevation model".into());
     }
-    let Some(model) = recorded.chosen_model.as_ref().and_then(|model| model["model"].as_str()) else { return };
-    match model {
-        "affine" => planar_model(result, &pairs(orientation, list), planar::Kind::Affine),
-        "projective" => planar_model(result, &pairs(orientation, list), planar::Kind::Projective),
-        "similarity" => {
-            let name = recorded.chosen_model.as_ref().map(|model| model["solver"].clone()).unwrap_or_default();
-            if let Some(solver) = SolverArg::ALL.into_iter().find(|s| name == s.json_name()) {
+    match &recorded.chosen_model {
+        None => {}
+        Some(ChosenModel::Affine(_)) => planar_model(result, &pairs(orientation, list), planar::Kind::Affine),
+        Some(ChosenModel::Projective(_)) => planar_model(result, &pairs(orientation, list), planar::Kind::Projective),
+        Some(ChosenModel::Similarity(model)) => {
+            if let Some(solver) = SolverArg::ALL.into_iter().find(|s| s.solver() == model.solver) {
                 planar_solver(result, &pairs(orientation, list), solver);
             }
         }
-        other => result.warnings.push(format!("the {other} transform was not solved again: it needs heights")),
+        Some(ChosenModel::SevenParameter(_)) => {
+            result.warnings.push("the 7-parameter transform was not solved again: it needs heights".into())
+        }
     }
 }
 
 /// The affine transform, or the similarity of another solver, that stands in the place of the weighted similarity.
 pub fn written_affine(result: &RunResult) -> Option<GeoTransform> {
-    let model = result
-        .solved()?
-        .chosen_model
-        .as_ref()
-        .filter(|model| model["model"] == "affine" || model["model"] == "similarity")?;
-    let entry = |row: usize, column: usize| model["matrix"][row][column].as_f64();
-    let row = |i: usize| Some([entry(i, 2)?, entry(i, 0)?, entry(i, 1)?]);
-    let (e, n) = (row(0)?, row(1)?);
-    Some(GeoTransform([e[0], e[1], e[2], n[0], n[1], n[2]]))
+    result.solved()?.chosen_model.as_ref()?.written()
 }
 
 /// Takes back what was said against points and marks that do not fit the similarity, by which marks are matched, but
@@ -390,20 +388,19 @@ fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar::Kind) {
         }
     };
     result.warnings.extend(fit.warnings.iter().cloned());
-    let matrix: Vec<Vec<f64>> = fit.matrix().row_iter().map(|row| row.iter().copied().collect()).collect();
-    let similarity_rmse_m = result.solved().map(|solved| solved.fit.rmse_m);
-    enter_model(
-        result,
-        serde_json::json!({
-            "model": if kind == planar::Kind::Affine { "affine" } else { "projective" },
-            "matrix": matrix,
-            "rmse_m": fit.rmse_m,
-            "leave_one_out_rmse_m": fit.leave_one_out_rmse_m,
-            "similarity_rmse_m": similarity_rmse_m,
-            "residuals_m": fit.residuals_m,
-            "leave_one_out_m": fit.leave_one_out_m,
-        }),
-    );
+    let model = PlanarModel {
+        matrix: rows(&fit.matrix()),
+        rmse_m: fit.rmse_m,
+        leave_one_out_rmse_m: fit.leave_one_out_rmse_m,
+        similarity_rmse_m: result.solved().map(|solved| solved.fit.rmse_m),
+        residuals_m: fit.residuals_m.clone(),
+        leave_one_out_m: fit.leave_one_out_m.clone(),
+    };
+    let model = match kind {
+        planar::Kind::Affine => ChosenModel::Affine(model),
+        planar::Kind::Projective => ChosenModel::Projective(model),
+    };
+    enter_model(result, model);
     if kind == planar::Kind::Projective {
         result
             .warnings
@@ -429,14 +426,14 @@ fn planar_solver(result: &mut RunResult, pairs: &[Pair], solver: SolverArg) {
         Ok(_) => {
             result
                 .warnings
-                .push(format!("{}: the points are a mirror image; the similarity is used", solver.json_name()));
+                .push(format!("{}: the points are a mirror image; the similarity is used", solver.solver().name()));
             return;
         }
         Err(why) => {
             let few = pairs.len();
             result.warnings.push(format!(
                 "{few} points do not support --solver {} ({why}); the similarity is used",
-                solver.json_name()
+                solver.solver().name()
             ));
             return;
         }
@@ -445,31 +442,45 @@ fn planar_solver(result: &mut RunResult, pairs: &[Pair], solver: SolverArg) {
     let transform = GeoTransform([t.x, s * r[(0, 0)], -s * r[(0, 1)], t.y, s * r[(1, 0)], -s * r[(1, 1)]]);
     let g = transform.0;
     let residuals: Vec<[f64; 2]> = space.residuals.iter().map(|r| [r.x, r.y]).collect();
-    let similarity_rmse_m = result.solved().map(|solved| solved.fit.rmse_m);
-    enter_model(
-        result,
-        serde_json::json!({
-            "model": "similarity",
-            "solver": solver.json_name(),
-            "matrix": [[g[1], g[2], g[0]], [g[4], g[5], g[3]], [0.0, 0.0, 1.0]],
-            "scale_m_per_px": s,
-            "rotation_deg": r[(1, 0)].atan2(r[(0, 0)]).to_degrees(),
-            "rmse_m": space.rmse,
-            "sigma0_m": sigma0,
-            "similarity_rmse_m": similarity_rmse_m,
-            "residuals_m": residuals,
-        }),
-    );
+    let left_out = leave_one_out(&flat, solver);
+    let rotation_deg = r[(1, 0)].atan2(r[(0, 0)]).to_degrees();
+    let model = SimilarityModel {
+        solver: solver.solver(),
+        matrix: [[g[1], g[2], g[0]], [g[4], g[5], g[3]], [0.0, 0.0, 1.0]],
+        scale_m_per_px: s,
+        rotation_deg,
+        rmse_m: space.rmse,
+        sigma0_m: sigma0,
+        similarity_rmse_m: result.solved().map(|solved| solved.fit.rmse_m),
+        residuals_m: residuals.clone(),
+        leave_one_out_m: left_out.clone(),
+    };
+    enter_model(result, ChosenModel::Similarity(model));
     if let Some(solved) = result.solved_mut() {
         solved.fit.scale_m_per_px = s;
-        solved.fit.rotation_deg = r[(1, 0)].atan2(r[(0, 0)]).to_degrees();
+        solved.fit.rotation_deg = rotation_deg;
     }
-    enter_planar(result, transform, &residuals, None);
+    enter_planar(result, transform, &residuals, left_out.as_deref());
     result.warnings.push(format!(
         "the similarity by {} is written, in which every point counts alike; expected errors, redundancy and outliers are \
          those of the weighted one",
-        solver.json_name()
+        solver.solver().name()
     ));
+}
+
+/// What each point is off, surveyed − computed, when the others alone are solved; `None` when one cannot be left out.
+fn leave_one_out(points: &[PointPair], solver: SolverArg) -> Option<Vec<[f64; 2]>> {
+    /// Two points are exact whatever they are: what they say of a third is no test of them.
+    const FEWEST: usize = 4;
+    let off = |left_out: usize| {
+        let others: Vec<PointPair> =
+            points.iter().enumerate().filter(|(i, _)| *i != left_out).map(|(_, point)| *point).collect();
+        let (space, _) = solver.in_space(&others).ok()?;
+        let computed = space.rotation * points[left_out].model * space.scale + space.translation;
+        let off = points[left_out].target - computed;
+        Some([off.x, off.y])
+    };
+    (points.len() >= FEWEST).then(|| (0..points.len()).map(off).collect()).flatten()
 }
 
 /// Marks as (x, −y, 0) in pixels and GCPs as (easting, northing, 0) in metres.
@@ -503,7 +514,7 @@ fn enter_heights(result: &mut RunResult, heights: Option<heights::HeightResult>)
 }
 
 /// Enters the transform that was asked for beside the similarity.
-fn enter_model(result: &mut RunResult, model: serde_json::Value) {
+fn enter_model(result: &mut RunResult, model: ChosenModel) {
     if let Some(solved) = result.solved_mut() {
         solved.chosen_model = Some(model);
     }
@@ -541,16 +552,20 @@ fn enter_planar(
 /// The transform that was asked for beside or instead of the similarity.
 pub fn model_line(solved: &SolvedRun) -> Option<String> {
     let model = solved.chosen_model.as_ref()?;
-    let figure = |name: &str| model[name].as_f64();
-    let heights = figure("rmse_h_m").map_or(String::new(), |h| format!(", heights {h:.4} m"));
-    let by = model["solver"].as_str().map_or(String::new(), |solver| format!(" by {solver}"));
-    let turn = |i: usize| model["roll_pitch_yaw_deg"][i].as_f64();
-    let turns = turn(0)
-        .zip(turn(1))
-        .zip(turn(2))
-        .map_or(String::new(), |((roll, pitch), yaw)| format!("; roll {roll:.5}°, pitch {pitch:.5}°, yaw {yaw:.5}°"));
-    let name = model["model"].as_str().unwrap_or_default();
-    Some(format!("{name}{by}: RMSE {:.4} m{heights}{turns}", figure("rmse_m").unwrap_or_default()))
+    let name = model.name();
+    Some(match model {
+        ChosenModel::Affine(planar) | ChosenModel::Projective(planar) => format!("{name}: RMSE {:.4} m", planar.rmse_m),
+        ChosenModel::Similarity(by) => format!("{name} by {}: RMSE {:.4} m", by.solver.name(), by.rmse_m),
+        ChosenModel::SevenParameter(by) => {
+            let [roll, pitch, yaw] = by.roll_pitch_yaw_deg;
+            format!(
+                "{name} by {}: RMSE {:.4} m, heights {:.4} m; roll {roll:.5}°, pitch {pitch:.5}°, yaw {yaw:.5}°",
+                by.solver.name(),
+                by.rmse_m,
+                by.rmse_h_m
+            )
+        }
+    })
 }
 
 /// Lines of the summary.
