@@ -83,22 +83,27 @@ impl Misfit {
         }
     }
 
-    /// One line for the verdict.
+    /// One line for the verdict of a run that was solved.
     pub fn verdict(&self) -> String {
+        format!("solved, but {}", self.clause())
+    }
+
+    /// What is to be said against the fit, as a part of a sentence.
+    pub fn clause(&self) -> String {
         match self {
             Misfit::Stretched { rmse_px, affine_px } => format!(
-                "solved, but the image is stretched or sheared in the CRS of the fit: residuals of {rmse_px:.1} px, \
+                "the image is stretched or sheared in the CRS of the fit: residuals of {rmse_px:.1} px, \
                  {affine_px:.1} px with --model affine"
             ),
             Misfit::Bad { rmse_px, .. } => {
-                format!("solved, but the points fit badly ({rmse_px:.1} px): do not trust it before you know why")
+                format!("the points fit badly ({rmse_px:.1} px): do not trust it before you know why")
             }
             Misfit::Rough { rmse_px } => format!(
-                "solved, but the points fit only to {rmse_px:.1} px: where parts of marks were measured, all of it is \
+                "the points fit only to {rmse_px:.1} px: where parts of marks were measured, all of it is \
                  farther off"
             ),
             Misfit::InPieces { marks, of, .. } => format!(
-                "solved, but {marks} of {of} marks lie in pieces, of which one was measured: do not trust it to less than \
+                "{marks} of {of} marks lie in pieces, of which one was measured: do not trust it to less than \
                  a mark's width"
             ),
         }

@@ -253,7 +253,7 @@ fn the_first_match_stands_and_solvers_differ_by_their_scale_only() {
         // What is stated is of what is written.
         let left_out = residuals.iter().map(|m| m["leave_one_out_m"].as_f64().expect("one can be left out").powi(2));
         let left_out_m = (left_out.sum::<f64>() / residuals.len() as f64).sqrt();
-        near(&solved["accuracy"]["leave_one_out_m"], left_out_m, 1e-9);
+        near(&solved["accuracy"]["figures"]["leave_one_out_m"], left_out_m, 1e-9);
         assert!(left_out_m > solved["rmse_m"].as_f64().expect("a number"), "{solver}");
     }
     let compared = document(&["compare-solvers", &image, "--gcps", &list, "--json"]);

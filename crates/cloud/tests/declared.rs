@@ -543,3 +543,33 @@ fn a_global_shift_is_taken_off_where_it_was_added() {
     ply_of(&path, "comment shift -1200000 -400000 0", &[], "");
     assert_eq!(info(&path, None).expect("a cloud").min.expect("points")[0], -1_200_000.0);
 }
+
+/// LAS counts times from the week or, with a bit of its header, from 2011: who reads the points must know.
+#[test]
+fn times_beyond_a_week_are_written_as_what_they_are() {
+    let folder = Folder::new();
+    for (time, standard) in [("307644287", 1), ("604799", 0), ("-5000000", 1), ("1700000000", 0)] {
+        let (ply, las) = (folder.at("timed.ply"), folder.at("timed.las"));
+        ply_of(&ply, "comment times", &["gps_time", "las_pointsourceid"], &format!("{time} 7"));
+        clean(&ply, &las, &las, &plan(vec![Step::Radius { radius_m: 20.0, least: 1 }])).expect("cleaned");
+        let bytes = std::fs::read(&las).expect("readable");
+        assert_eq!(bytes[6] & 1, standard, "{time}");
+        let begin = u32::from_le_bytes(bytes[96..100].try_into().expect("four")) as usize;
+        assert_eq!(bytes[begin + 20], 7, "the source of a point");
+    }
+}
+
+#[test]
+fn what_its_ending_promises_is_not_read_as_text() {
+    let folder = Folder::new();
+    let pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 5\n";
+    for (name, text, said) in [
+        ("a.laz", pointer, "a pointer of Git LFS"),
+        ("b.las", "1 2 3\n4 5 6\n", "does not begin with `LASF`"),
+        ("c.e57", "1 2 3\n4 5 6\n", "does not begin with `ASTM-E57`"),
+    ] {
+        std::fs::write(folder.at(name), text).expect("writable");
+        let error = info(&folder.at(name), None).expect_err("no cloud").to_string();
+        assert!(error.contains(name) && error.contains(said), "{error}");
+    }
+}

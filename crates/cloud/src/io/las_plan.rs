@@ -85,9 +85,9 @@ const KNOWN: [(&[&str], Place); 14] = [
 /// The bytes of places for what is measured, intensity and near infrared: other formats have fractions there.
 const MEASURED: [usize; 2] = [INTENSITY, 36];
 
-/// A name as it is compared: CloudCompare writes `scalar_` before it.
+/// A name as it is compared: CloudCompare writes `scalar_` before it, E57 names the extension of LAS.
 fn plain_name(name: &str) -> String {
-    name.strip_prefix("scalar_").unwrap_or(name).replace('_', "")
+    ["scalar_", "las_"].iter().find_map(|before| name.strip_prefix(before)).unwrap_or(name).replace('_', "")
 }
 
 /// Numbers that so many bits hold.

@@ -37,9 +37,15 @@ struct LasWriter {
     record: Vec<u8>,
     written: u64,
     returns: [u64; 15],
+    /// A time of another format's was none within a week.
+    standard_times: bool,
     min: [i32; 3],
     max: [i32; 3],
 }
+
+/// GPS times that are none of the week, and such as LAS writes with bit 0 of its global encoding: seconds since 1980 less
+/// 10⁹. Larger ones count from elsewhere.
+const STANDARD_TIMES_S: std::ops::Range<f64> = 604_800.000_001..1e9;
 
 pub(super) fn create(path: &Path, named: &Path, target: &Target<'_>, format: Format) -> Result<Box<dyn PointWriter>> {
     let mut plan = match &target.source.las {
@@ -109,6 +115,7 @@ pub(super) fn create(path: &Path, named: &Path, target: &Target<'_>, format: For
         record: Vec::new(),
         written: 0,
         returns: [0; 15],
+        standard_times: false,
         min: [i32::MAX; 3],
         max: [i32::MIN; 3],
     }))
@@ -199,6 +206,7 @@ impl LasWriter {
             (None, None) => 0,
         };
         let time = recipe.gps_time.as_ref().map_or(0.0, |field| field.value(point.raw));
+        self.standard_times |= STANDARD_TIMES_S.contains(&time.abs());
         put(&mut self.record, 22, &time.to_le_bytes());
         if let Some(colours) = &recipe.colours {
             for (index, field) in colours.iter().enumerate() {
@@ -269,6 +277,7 @@ impl PointWriter for LasWriter {
             }
         };
         let head = &mut self.head;
+        head[6] |= u8::from(self.standard_times);
         if let Some((_, hierarchy)) = indexed {
             put(head, 235, &hierarchy.to_le_bytes());
             put(head, 243, &1u32.to_le_bytes());

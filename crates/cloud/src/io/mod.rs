@@ -200,8 +200,24 @@ pub fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     } else if magic.starts_with(b"# .PCD") || magic.starts_with(b"VERSION ") {
         let remedy = "make a PLY of it with pcl_pcd2ply, or a LAS with PDAL or CloudCompare";
         Err(Error::unsupported(path, "a PCD file of the Point Cloud Library", remedy))
+    } else if magic.starts_with(b"version ") {
+        let remedy = "fetch the file itself with `git lfs pull`";
+        Err(Error::unsupported(path, "a pointer of Git LFS that stands for a file", remedy))
+    } else if let Some(signature) = missing_signature(path) {
+        let what = format!("the file does not begin with `{signature}`: it is none of its ending, or damaged");
+        Err(Error::format(path, "begin", what))
     } else {
         text::open(path)
+    }
+}
+
+/// What a file of this ending begins with.
+fn missing_signature(path: &Path) -> Option<&'static str> {
+    match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+        "las" | "laz" => Some("LASF"),
+        "ply" => Some("ply"),
+        "e57" => Some("ASTM-E57"),
+        _ => None,
     }
 }
 

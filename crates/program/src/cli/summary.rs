@@ -139,8 +139,7 @@ impl Verdict {
                 sentence += "; a point does not fit, too: look at it before you trust the rest";
             }
             if let Some(misfit) = misfit {
-                let verdict = misfit.verdict();
-                sentence += &format!("; {}", verdict.strip_prefix("solved, but ").unwrap_or(&verdict));
+                sentence += &format!("; {}", misfit.clause());
             }
             return Verdict { sentence, chance, tested };
         }
