@@ -1,8 +1,10 @@
 //! What both readers share: a raster as a grid of chunks, each decoded once and handed out without a copy.
 
+use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::cache::{Chunk, ChunkCache};
+use super::path_text::quoted;
 use super::{Block, Piece, PieceData, RasterInfo, RasterSource, ReadStats, SampleType};
 use crate::error::Result;
 use crate::window::{TileGrid, Window};
@@ -140,6 +142,15 @@ pub fn group_blocks(block: (u64, u64), raster: (u64, u64), bytes_per_pixel: u64)
     // About square, so that a chunk serves a tile of any shape.
     let side = (wanted as f64).sqrt().ceil() as u64;
     (side.min(across), side.min(down))
+}
+
+/// The command that makes a tiled copy.
+pub(crate) fn retile_remedy(path: &Path) -> String {
+    format!(
+        "retile it: gdal_translate -co TILED=YES -co COMPRESS=DEFLATE -co PREDICTOR=2 -co BIGTIFF=IF_SAFER {} tiled.tif, \
+         or raise --memory",
+        quoted(path)
+    )
 }
 
 #[cfg(test)]

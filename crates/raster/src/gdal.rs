@@ -12,7 +12,9 @@ use gdal::raster::{ColorInterpretation, GdalDataType, GdalType, RasterBand};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 
 use super::cache::Chunk;
-use super::chunked::{ChunkDecoder, ChunkedSource, Counters, group_blocks};
+use super::chunked::{ChunkDecoder, ChunkedSource, Counters, group_blocks, retile_remedy};
+use super::path_text::quoted;
+use super::white::white_of;
 use super::{BlockLayout, BufferPool, PieceData, RasterInfo, SampleType};
 use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
@@ -189,7 +191,7 @@ impl GdalDecoder {
         let compression = dataset.metadata_item("COMPRESSION", "IMAGE_STRUCTURE");
         if compression.as_deref() == Some("OJPEG") {
             // Measured: what libtiff gives for such a file depends on the order in which its strips are read.
-            let remedy = format!("convert it: gdal_translate {} converted.tif", super::open::quoted(&name.path));
+            let remedy = format!("convert it: gdal_translate {} converted.tif", quoted(&name.path));
             return Err(Error::unsupported(&name.path, "old-style JPEG in TIFF (compression 6)", remedy));
         }
         let (bw, bh) = first.block_size();
@@ -202,7 +204,7 @@ impl GdalDecoder {
                 what: format!("{}: one block of {bw} x {bh} pixels", name.path.display()),
                 needed: block_bytes,
                 allowed: cache_bytes,
-                remedy: super::open::retile_remedy(&name.path),
+                remedy: retile_remedy(&name.path),
             });
         }
         let strips = block.0 == width;
@@ -381,14 +383,12 @@ fn sample_type(path: &Path, dataset: &Dataset) -> Result<SampleType> {
             GdalDataType::UInt16 => sample = SampleType::U16,
             other => {
                 let what = format!("samples of type {} (band {number}) as an image", other.name());
-                let remedy =
-                    format!("convert it: gdal_translate -ot Byte -scale {} converted.tif", super::open::quoted(path));
+                let remedy = format!("convert it: gdal_translate -ot Byte -scale {} converted.tif", quoted(path));
                 return Err(Error::unsupported(path, what, remedy));
             }
         }
         if band.metadata_item("PIXELTYPE", "IMAGE_STRUCTURE").as_deref() == Some("SIGNEDBYTE") {
-            let remedy =
-                format!("convert it: gdal_translate -ot Byte -scale {} converted.tif", super::open::quoted(path));
+            let remedy = format!("convert it: gdal_translate -ot Byte -scale {} converted.tif", quoted(path));
             return Err(Error::unsupported(path, "samples of type Int8 as an image", remedy));
         }
     }
@@ -440,14 +440,14 @@ fn meaning(path: &Path, dataset: &Dataset) -> Result<Meaning> {
     Ok(Meaning { bands, rgb, alpha, palette: None, mask, nodata })
 }
 
-/// The value of full white: see [`super::open::white_of`].
+/// The value of full white: see [`white_of`].
 fn white(dataset: &Dataset, band: &RasterBand, sample: SampleType) -> u16 {
     let bits = band.metadata_item("NBITS", "IMAGE_STRUCTURE").and_then(|v| v.parse().ok());
     let maximum = dataset.metadata_item("TIFFTAG_MAXSAMPLEVALUE", "").and_then(|v| v.parse().ok());
     if matches!(band.color_interpretation(), ColorInterpretation::PaletteIndex) {
         return 255;
     }
-    super::open::white_of(sample, bits, maximum)
+    white_of(sample, bits, maximum)
 }
 
 /// What GDAL knows about a file beside its pixels, side files (`.aux.xml`, world files) included.

@@ -71,7 +71,7 @@ pub use gdal::{GdalSource, hear_gdal, initialise_gdal, vector_options};
 pub use height_band::{HeightBand, refuse_signed_bytes, same_unit, set_height_unit, set_unit, unit_of};
 pub use open::{open, open_dataset, size};
 pub use patch::{Pixels, View, read_patch};
-pub use pool::BufferPool;
+pub use pool::{BufferPool, PooledBytes};
 pub use white::with_white;
 pub use written::{Written, failed_to_write, free_disk_bytes, is_cut_table, unheard};
 
@@ -227,21 +227,6 @@ pub enum PieceData {
     U16(Arc<Vec<u16>>),
     /// A window of the mapped file, with the offset of the first sample. Bytes only.
     Mapped(Arc<memmap2::Mmap>, usize),
-}
-
-/// A decoded buffer that goes back to its pool when the last user drops it.
-#[derive(Debug, Default)]
-pub struct PooledBytes {
-    pub bytes: Vec<u8>,
-    pub home: Option<pool::Shelf>,
-}
-
-impl Drop for PooledBytes {
-    fn drop(&mut self) {
-        if let Some(home) = self.home.take() {
-            home.put(std::mem::take(&mut self.bytes));
-        }
-    }
 }
 
 /// Pixels of a rectangle, row-major and band-interleaved, all from one file block or group of strips.

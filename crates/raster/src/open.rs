@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{RasterSource, ReaderChoice, SampleType, gdal, tiff, tile_folder};
+use super::{RasterSource, ReaderChoice, gdal, tiff, tile_folder};
 use crate::bounded;
 use crate::error::{Error, Result};
 
@@ -120,60 +120,4 @@ fn check_file(path: &Path) -> Result<()> {
         return Err(Error::format(path, "file", "is empty (0 bytes)"));
     }
     Ok(())
-}
-
-/// The value of full white: all bits that NBITS (or BitsPerSample) names; else, of 16-bit samples, MaxSampleValue when
-/// it is one less than a power of two above 8 bits, as for 12-bit cameras (any other value is a statistic of the image,
-/// which the TIFF specification forbids to use for display).
-pub(super) fn white_of(sample: SampleType, bits: Option<u32>, max_sample_value: Option<u64>) -> u16 {
-    let width = 8 * sample.bytes() as u32;
-    if let Some(bits) = bits.filter(|bits| (1..width).contains(bits)) {
-        return ((1u32 << bits) - 1) as u16;
-    }
-    match (sample, max_sample_value) {
-        (SampleType::U8, _) => 255,
-        (SampleType::U16, Some(max)) if (512..65_535).contains(&(max + 1)) && (max + 1).is_power_of_two() => max as u16,
-        (SampleType::U16, _) => 65_535,
-    }
-}
-
-/// A path as a shell takes it.
-pub(super) fn quoted(path: &Path) -> String {
-    let text = path.display().to_string();
-    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=,".contains(c);
-    if !text.is_empty() && text.chars().all(plain) {
-        return text;
-    }
-    format!("'{}'", text.replace('\'', r"'\''"))
-}
-
-/// The command that makes a tiled copy.
-pub(super) fn retile_remedy(path: &Path) -> String {
-    format!(
-        "retile it: gdal_translate -co TILED=YES -co COMPRESS=DEFLATE -co PREDICTOR=2 -co BIGTIFF=IF_SAFER {} tiled.tif, \
-         or raise --memory",
-        quoted(path)
-    )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn white_follows_the_bits() {
-        assert_eq!(white_of(SampleType::U8, None, Some(100)), 255);
-        assert_eq!(white_of(SampleType::U8, Some(1), None), 1);
-        assert_eq!(white_of(SampleType::U16, Some(12), None), 4095);
-        assert_eq!(white_of(SampleType::U16, None, Some(2047)), 2047);
-        assert_eq!(white_of(SampleType::U16, None, Some(3000)), 65_535);
-        assert_eq!(white_of(SampleType::U16, None, Some(65_535)), 65_535);
-        assert_eq!(white_of(SampleType::U16, Some(16), None), 65_535);
-    }
-
-    #[test]
-    fn paths_are_quoted_for_the_shell() {
-        assert_eq!(quoted(Path::new("/a/b.tif")), "/a/b.tif");
-        assert_eq!(quoted(Path::new("a b's.tif")), r"'a b'\''s.tif'");
-    }
 }

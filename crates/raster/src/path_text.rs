@@ -1,5 +1,5 @@
-//! Paths in JSON. Names that are not UTF-8 are told with replacement characters, as everywhere in messages; `serde`
-//! alone refuses them.
+//! Paths in JSON and for a shell. In JSON, names that are not UTF-8 are told with replacement characters, as everywhere
+//! in messages; `serde` alone refuses them.
 //!
 //! ```
 //! #[derive(serde::Serialize)]
@@ -40,12 +40,28 @@ pub fn many<P: AsRef<Path>, S: Serializer>(paths: &[P], serializer: S) -> Result
     serializer.collect_seq(paths.iter().map(|path| path.as_ref().to_string_lossy()))
 }
 
+/// A path as a shell takes it.
+pub(crate) fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=,".contains(c);
+    if !text.is_empty() && text.chars().all(plain) {
+        return text;
+    }
+    format!("'{}'", text.replace('\'', r"'\''"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::ffi::OsStr;
     use std::os::unix::ffi::OsStrExt;
     use std::path::PathBuf;
+
+    #[test]
+    fn paths_are_quoted_for_the_shell() {
+        assert_eq!(quoted(Path::new("/a/b.tif")), "/a/b.tif");
+        assert_eq!(quoted(Path::new("a b's.tif")), r"'a b'\''s.tif'");
+    }
 
     #[derive(Serialize)]
     struct Paths {

@@ -2,8 +2,6 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::PooledBytes;
-
 /// Idle buffers. The one that came last goes first: its bytes are still in the processor's cache.
 #[derive(Clone, Debug)]
 pub struct Shelf {
@@ -18,10 +16,25 @@ impl Shelf {
     }
 
     /// A full shelf just lets the buffer go.
-    pub(super) fn put(&self, buffer: Vec<u8>) {
+    fn put(&self, buffer: Vec<u8>) {
         let mut idle = self.idle();
         if idle.len() < self.most {
             idle.push(buffer);
+        }
+    }
+}
+
+/// A decoded buffer that goes back to its pool when the last user drops it.
+#[derive(Debug, Default)]
+pub struct PooledBytes {
+    pub bytes: Vec<u8>,
+    pub home: Option<Shelf>,
+}
+
+impl Drop for PooledBytes {
+    fn drop(&mut self) {
+        if let Some(home) = self.home.take() {
+            home.put(std::mem::take(&mut self.bytes));
         }
     }
 }

@@ -1,10 +1,25 @@
-//! The value of full white, by the caller's word.
+//! The value of full white, by the file's or the caller's word.
 
 use std::sync::Arc;
 
 use super::{Block, Piece, RasterInfo, RasterSource, ReadStats, SampleType};
 use crate::error::{Error, Result};
 use crate::window::Window;
+
+/// The value of full white: all bits that NBITS (or BitsPerSample) names; else, of 16-bit samples, MaxSampleValue when
+/// it is one less than a power of two above 8 bits, as for 12-bit cameras (any other value is a statistic of the image,
+/// which the TIFF specification forbids to use for display).
+pub(crate) fn white_of(sample: SampleType, bits: Option<u32>, max_sample_value: Option<u64>) -> u16 {
+    let width = 8 * sample.bytes() as u32;
+    if let Some(bits) = bits.filter(|bits| (1..width).contains(bits)) {
+        return ((1u32 << bits) - 1) as u16;
+    }
+    match (sample, max_sample_value) {
+        (SampleType::U8, _) => 255,
+        (SampleType::U16, Some(max)) if (512..65_535).contains(&(max + 1)) && (max + 1).is_power_of_two() => max as u16,
+        (SampleType::U16, _) => 65_535,
+    }
+}
 
 /// A raster whose value of full white the caller knows better than the file.
 struct Rescaled {
@@ -52,5 +67,21 @@ impl RasterSource for Rescaled {
     }
     fn stats(&self) -> ReadStats {
         self.inner.stats()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn white_follows_the_bits() {
+        assert_eq!(white_of(SampleType::U8, None, Some(100)), 255);
+        assert_eq!(white_of(SampleType::U8, Some(1), None), 1);
+        assert_eq!(white_of(SampleType::U16, Some(12), None), 4095);
+        assert_eq!(white_of(SampleType::U16, None, Some(2047)), 2047);
+        assert_eq!(white_of(SampleType::U16, None, Some(3000)), 65_535);
+        assert_eq!(white_of(SampleType::U16, None, Some(65_535)), 65_535);
+        assert_eq!(white_of(SampleType::U16, Some(16), None), 65_535);
     }
 }

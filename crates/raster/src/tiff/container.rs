@@ -9,6 +9,7 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crate::chunked::retile_remedy;
 use crate::error::{Error, Result};
 use crate::words::counted;
 
@@ -322,7 +323,7 @@ impl Directories {
                 what: format!("{}: {place} has {} values", self.path.display(), entry.count),
                 needed: entry.count.saturating_mul(8),
                 allowed: MAX_VALUES * 8,
-                remedy: super::super::open::retile_remedy(&self.path),
+                remedy: retile_remedy(&self.path),
             });
         }
         Ok(Some((entry, self.bytes(entry.position, size * entry.count, &place)?)))

@@ -7,12 +7,13 @@ use std::sync::Mutex;
 use super::container::{ByteOrder, Directories};
 use super::empty_blocks::{EmptyBlocks, holds_nothing};
 use super::layout::{Codec, Layout, Predictor, Samples};
-use super::rows::Stream;
-use super::{decompress, mapping, predictor, stream};
+use super::stream::{self, Stream};
+use super::{decompress, mapping, predictor};
 use crate::cache::Chunk;
-use crate::chunked::{CHUNK_BYTES, ChunkDecoder, ChunkedSource, Counters, group_blocks};
+use crate::chunked::{CHUNK_BYTES, ChunkDecoder, ChunkedSource, Counters, group_blocks, retile_remedy};
 use crate::error::{Error, Result};
 use crate::gdal::Facts;
+use crate::white::white_of;
 use crate::window::{TileGrid, Window};
 use crate::{BlockLayout, BufferPool, PieceData, RasterInfo, SampleType};
 
@@ -141,7 +142,7 @@ impl TiffDecoder {
                 what: format!("{name}: one {codec} block of {} x {} pixels", block.0, block.1),
                 needed: chunk_bytes,
                 allowed: cache_bytes,
-                remedy: crate::open::retile_remedy(&all.path),
+                remedy: retile_remedy(&all.path),
             });
         }
         let facts = match georeference {
@@ -157,7 +158,7 @@ impl TiffDecoder {
             rgb,
             alpha,
             nodata: facts.nodata.or(layout.nodata),
-            white: crate::open::white_of(sample, None, layout.max_sample_value),
+            white: white_of(sample, None, layout.max_sample_value),
             layout: match layout.tiled {
                 true => BlockLayout::Tiles { width: block.0, height: block.1 },
                 false => BlockLayout::Strips { rows: block.1 },

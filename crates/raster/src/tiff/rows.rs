@@ -1,27 +1,13 @@
 //! Strips too large to be decoded whole: row by row, from the top of a strip down.
 
-use std::collections::VecDeque;
-use std::io::Read;
 use std::sync::{Mutex, PoisonError};
 
 use super::decoder::{Stored, TiffDecoder};
-use super::stream;
+use super::stream::{self, Stream};
 use crate::cache::Chunk;
 use crate::chunked::Counters;
 use crate::error::Result;
 use crate::{PieceData, SampleType};
-
-/// Where the row-by-row decoder stands.
-#[derive(Default)]
-pub(super) struct Stream {
-    /// The chunk that comes next.
-    next: u64,
-    /// Row of the image that comes next.
-    row: u64,
-    strip: Option<Box<dyn Read + Send>>,
-    /// Chunks decoded on the way to one that was asked for earlier than they were.
-    recent: VecDeque<(u64, Chunk)>,
-}
 
 /// Chunks that a stream keeps for threads that come late.
 const RECENT_CHUNKS: usize = 8;

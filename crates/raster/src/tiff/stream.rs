@@ -1,16 +1,30 @@
 //! Strips too large to be decoded whole (often the whole image is one): decoded from the top down, row by row.
 
+use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::os::unix::fs::FileExt;
 use std::sync::Arc;
 
 use super::layout::Codec;
+use crate::cache::Chunk;
 
 /// Bytes read from the file at a time.
 const BUFFER: usize = 256 << 10;
 /// Largest ZSTD window accepted, as a power of two: 16 MiB.
 const ZSTD_WINDOW_LOG: u32 = 24;
+
+/// Where the row-by-row decoder stands.
+#[derive(Default)]
+pub(super) struct Stream {
+    /// The chunk that comes next.
+    pub(super) next: u64,
+    /// Row of the image that comes next.
+    pub(super) row: u64,
+    pub(super) strip: Option<Box<dyn Read + Send>>,
+    /// Chunks decoded on the way to one that was asked for earlier than they were.
+    pub(super) recent: VecDeque<(u64, Chunk)>,
+}
 
 /// Part of a file as a stream.
 struct Extent {
