@@ -11,10 +11,11 @@ use crate::error::{Error, Result};
 use crate::io::{self, Header, OutPoint, Target};
 use crate::kdtree::Bounds;
 use crate::outliers::{self, NOISE, OutlierStatistics};
+use crate::point::Point;
 use crate::schema::Batch;
 use crate::smrf;
 use crate::summary::Summary;
-use crate::tiles::{Point, Scratch, Spool, Tiles, Verdicts};
+use crate::tiles::{Scratch, Spool, Tiles, Verdicts};
 use crate::{elm, isolated};
 
 /// Points of one read.

@@ -4,7 +4,7 @@
 //! Distances are compared as they are computed, and every bound is computed by the same operations in the same order,
 //! so that rounding never lets a bound exceed a distance: what is found does not depend on the shape of the tree.
 
-use crate::tiles::Point;
+use crate::point::Point;
 
 /// Points of a leaf at most.
 const LEAF_POINTS: usize = 12;

@@ -14,6 +14,7 @@ pub mod neighbours;
 pub mod outliers;
 pub mod page;
 pub mod params;
+pub mod point;
 mod quiet;
 pub mod schema;
 pub mod smrf;

@@ -7,7 +7,8 @@ use rayon::prelude::*;
 
 use crate::error::Result;
 use crate::neighbours;
-use crate::tiles::{Point, Tiles};
+use crate::point::Point;
+use crate::tiles::Tiles;
 use autoref_raster::exact_sum::ExactSum;
 
 /// LAS class of noise.

@@ -7,7 +7,7 @@ use autoref_raster::simd::{Kernel, widest};
 
 use super::envelope::Offsets;
 use crate::kdtree::{Bounds, Tree};
-use crate::tiles::Point;
+use crate::point::Point;
 
 /// Surroundings at most, and at least.
 const MOST: usize = 128;

@@ -8,8 +8,9 @@ use std::os::unix::fs::FileExt;
 
 use super::surface::{Frame, Surface};
 use crate::error::{Error, Result};
+use crate::point::Point;
 use crate::schema::array;
-use crate::tiles::{Point, Scratch};
+use crate::tiles::Scratch;
 
 /// How a surface is cut. Part of the definition of the result where holes are wider than the halo.
 #[derive(Clone, Copy, Debug)]

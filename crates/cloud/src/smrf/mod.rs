@@ -24,7 +24,8 @@ pub use surface::{Frame, Surface};
 use crate::elm::each_active;
 use crate::error::{Error, Result};
 use crate::params;
-use crate::tiles::{Point, Tiles};
+use crate::point::Point;
+use crate::tiles::Tiles;
 
 /// LAS classes.
 const OBJECT: u8 = 1;

@@ -272,7 +272,8 @@ fn mark(gone: &mut Surface, surface: &Surface, opened: &Surface, rise: f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tiles::{Point, Spool};
+    use crate::point::Point;
+    use crate::tiles::Spool;
     use autoref_raster::random::SplitMix64;
 
     /// Hills with a lake without points, houses, and points far below.
