@@ -5,7 +5,7 @@ use crate::common::{rows, thesis_candidates, thesis_gcps};
 use autoref_raster::coords::PixelPoint;
 use autoref_solve::absolute::{self, AbsoluteOrientation, Method, PointPair};
 use autoref_solve::heights::{self, HeightModel, HeightPoint};
-use autoref_solve::{Pair, Solution, kraus, similarity};
+use autoref_solve::{Pair, Solution, kraus, solve};
 use nalgebra::{Matrix3, Vector3};
 
 fn table(number: u32) -> String {
@@ -127,12 +127,12 @@ fn equations_b23_to_b25_and_table_b23_are_reproduced() {
 #[test]
 fn in_the_plane_location_is_better_than_the_thesis_says() {
     let Some(pairs) = plane(8) else { return };
-    let solution: Solution = similarity::solve(&pairs).expect("14 points");
+    let solution: Solution = solve(&pairs).expect("14 points");
     assert_near("B.8 RMSE", solution.rmse_m, 0.06410, 5e-6);
     assert_near("B.8 scale", solution.scale_m_per_px, 0.031_998_043, 5e-10);
     assert_near("B.8 rotation", solution.rotation_deg, -0.026_154, 5e-7);
     let Some(pairs) = plane(4) else { return };
-    assert_near("B.4 RMSE", similarity::solve(&pairs).expect("20 points").rmse_m, 0.09006, 5e-6);
+    assert_near("B.4 RMSE", solve(&pairs).expect("20 points").rmse_m, 0.09006, 5e-6);
 }
 
 #[test]
@@ -141,7 +141,7 @@ fn heights_apart_are_a_quadratic_surface_away_from_the_survey() {
         let (Some(marks), Some(gcps)) = (thesis_candidates(&table(number)), thesis_gcps(&table(number))) else {
             return;
         };
-        let planimetry = similarity::solve(&plane(number).expect("it was there")).expect("many points");
+        let planimetry = solve(&plane(number).expect("it was there")).expect("many points");
         let points: Vec<HeightPoint> = marks
             .iter()
             .zip(&gcps)

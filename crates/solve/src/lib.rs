@@ -1,5 +1,5 @@
-//! From matches to a transform, with residuals: [`similarity`] in the plane (what a run uses), [`planar`] affine and
-//! projective on request, [`absolute`] and [`kraus`] in space, [`heights`] apart.
+//! From matches to a transform, with residuals: [`similarity`] in the plane and its [`adjustment`] (what a run uses),
+//! [`planar`] affine and projective on request, [`absolute`] and [`kraus`] in space, [`heights`] apart.
 //!
 //! ```
 //! use autoref_raster::coords::{GeoTransform, PixelPoint};
@@ -18,6 +18,7 @@
 
 pub mod absolute;
 pub mod accuracy;
+pub mod adjustment;
 pub mod heights;
 pub mod kraus;
 pub mod partial;
@@ -25,4 +26,5 @@ pub mod planar;
 pub mod similarity;
 pub mod weights;
 
-pub use similarity::{Pair, PairResult, Similarity, Solution, Unsolvable, solve, solve_as};
+pub use adjustment::{PairResult, Solution, solve, solve_as};
+pub use similarity::{Pair, Similarity, Unsolvable};

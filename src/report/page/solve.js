@@ -1,6 +1,7 @@
 "use strict";
-// The weighted similarity of crates/solve/src/similarity.rs with the same operations in the same order, so that a replay of a
-// patch gives the numbers that this page showed. Change both together; tests/program/report compares them.
+// The weighted similarity of similarity.rs and adjustment.rs in crates/solve/src with the same operations in the same
+// order, so that a replay of a patch gives the numbers that this page showed. Change both together; tests/program/report
+// compares them.
 const Fit = (() => {
   const BAARDA_SQRT_LAMBDA = 4.13, LEAST_SIGMA_PX = 0.02;
   const length = (x, y) => Math.sqrt(x * x + y * y);

@@ -8,7 +8,7 @@ use autoref_raster::Error;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::absolute::{self, PointPair};
 use autoref_solve::partial::{self, ControlPoint, Known};
-use autoref_solve::{Pair, planar, similarity};
+use autoref_solve::{Pair, planar};
 use autoref_stream::georef::spreadsheet::Spreadsheet;
 use autoref_stream::result::RunResult;
 use clap::Args;
@@ -254,7 +254,7 @@ fn compare(rows: &[Row]) -> Vec<Value> {
     };
     let elevation = |r: &Row| r.elevation_m.expect("a full row");
     // Pixels are brought to metres by the similarity first, so that one scale serves planimetry and heights.
-    if let Ok(plane) = similarity::solve(&pairs) {
+    if let Ok(plane) = autoref_solve::solve(&pairs) {
         let at = |r: &Row| plane.similarity.apply(r.pixel);
         let metric: Vec<PointPair> = full
             .iter()
@@ -319,7 +319,7 @@ fn partly(rows: &[Row], model: &dyn Fn(&Row) -> Vector3<f64>) -> Value {
 
 /// The weighted similarity, which a run uses.
 fn weighted(pairs: &[Pair], names: &[&str]) -> Value {
-    match similarity::solve(pairs) {
+    match autoref_solve::solve(pairs) {
         Ok(solution) => {
             let residuals: Vec<[Option<f64>; 3]> =
                 solution.pairs.iter().map(|p| [Some(p.residual_e_m), Some(p.residual_n_m), None]).collect();
