@@ -4,7 +4,6 @@
 //! The ground is drawn pixel by pixel in a slightly bent street grid; what stands on it is a list of objects per
 //! parcel ([`super::objects`]), drawn over it in a fixed order.
 
-use super::objects::{self, Object};
 use super::rng::{Rng, hash2, mix, value_noise};
 use autoref_raster::window::Window;
 
@@ -14,10 +13,9 @@ pub(crate) const PARCEL_M: (f32, f32) = (34.0, 28.0);
 pub(crate) const BLOCK: i64 = 3;
 const ROAD_HALF_M: f32 = 3.0;
 pub(crate) const PAVEMENT_HALF_M: f32 = 4.3;
-/// Everything of a parcel's objects, shadows too, lies within this of its rectangle.
-const OVERHANG_M: f32 = 14.0;
-/// From here on cars and trees are specks, and a window would hold them by the million.
-const OBJECTS_UP_TO_M_PER_PX: f32 = 1.0;
+/// Middle lines of a car park's rows of bays, across a parcel, and the width of a bay, in metres.
+pub(crate) const BAY_ROWS_M: [f32; 3] = [6.5, 14.0, 21.5];
+pub(crate) const BAY_M: f32 = 2.7;
 /// The bend of the street grid is computed every so many pixels and drawn straight between.
 const NODE_PX: u64 = 16;
 /// How far and over what length the grid bends.
@@ -62,6 +60,7 @@ impl Landscape {
         Landscape { seed: mix(seed ^ 0x1a5d), gsd_m: gsd_m as f32, axis: (angle.cos(), angle.sin()) }
     }
 
+    /// The bare ground.
     pub(crate) fn render(&self, window: Window, out: &mut [u8]) {
         let width = window.width as usize;
         let mut fine = vec![0f32; width];
@@ -88,9 +87,6 @@ impl Landscape {
                     *sample = value.clamp(0.0, 255.0) as u8;
                 }
             }
-        }
-        if self.gsd_m <= OBJECTS_UP_TO_M_PER_PX {
-            objects::draw(&self.objects_near(window), self, window, out);
         }
     }
 
@@ -177,30 +173,6 @@ impl Landscape {
         let tint = [0.0; 3].map(|_: f32| rng.range(-9.0, 9.0) as f32);
         let angle = (if rng.chance(0.5) { 0.0 } else { std::f64::consts::FRAC_PI_2 } + rng.range(-0.06, 0.06)) as f32;
         Parcel { column, row, kind, hash, tint, along: (angle.cos(), angle.sin()) }
-    }
-
-    /// Objects of all parcels that can reach into the window, in an order that does not depend on the window.
-    fn objects_near(&self, window: Window) -> Vec<Object> {
-        let corners = [
-            (window.x, window.y),
-            (window.right(), window.y),
-            (window.x, window.bottom()),
-            (window.right(), window.bottom()),
-        ]
-        .map(|(x, y)| self.grid_of(x as f64, y as f64));
-        let range = |values: [f32; 4], size: f32| {
-            let low = values.iter().fold(f32::INFINITY, |a, &b| a.min(b)) - OVERHANG_M;
-            let high = values.iter().fold(f32::NEG_INFINITY, |a, &b| a.max(b)) + OVERHANG_M;
-            (low / size).floor() as i64..=(high / size).floor() as i64
-        };
-        let mut found = vec![];
-        for row in range(corners.map(|c| c.1), PARCEL_M.1) {
-            for column in range(corners.map(|c| c.0), PARCEL_M.0) {
-                objects::of_parcel(&self.parcel(column, row), self, &mut found);
-            }
-        }
-        found.retain(|o| o.touches(window));
-        found
     }
 }
 
@@ -301,9 +273,9 @@ fn car_park(u: f32, v: f32, edge: f32, fine: f32, coarse: f32, bays: bool) -> [f
     let fu = fraction(u * (1.0 / PARCEL_M.0)) * PARCEL_M.0;
     let fv = fraction(v * (1.0 / PARCEL_M.1)) * PARCEL_M.1;
     let line = bays
-        && objects::BAY_ROWS_M.iter().any(|r| (fv - r).abs() < 2.5)
+        && BAY_ROWS_M.iter().any(|r| (fv - r).abs() < 2.5)
         && (2.5..PARCEL_M.0 - 2.5).contains(&fu)
-        && ((fu - 2.5) / objects::BAY_M).fract() * objects::BAY_M < 0.1;
+        && ((fu - 2.5) / BAY_M).fract() * BAY_M < 0.1;
     let grey = if line { 205.0 } else { 122.0 + 8.0 * coarse } + 8.0 * fine;
     [grey, grey, grey]
 }

@@ -1,12 +1,13 @@
 //! What stands on the drawn landscape: houses, halls, cars, trees and their shadows.
 
-use super::landscape::{Landscape, PARCEL_M, PAVEMENT_HALF_M, Parcel, Use};
+use super::landscape::{BAY_M, BAY_ROWS_M, Landscape, PARCEL_M, PAVEMENT_HALF_M, Parcel, Use};
 use super::rng::{Rng, value_noise};
 use autoref_raster::window::Window;
 
-/// Middle lines of a car park's rows of bays, across a parcel, and the width of a bay, in metres.
-pub(crate) const BAY_ROWS_M: [f32; 3] = [6.5, 14.0, 21.5];
-pub(crate) const BAY_M: f32 = 2.7;
+/// Everything of a parcel's objects, shadows too, lies within this of its rectangle.
+const OVERHANG_M: f32 = 14.0;
+/// From here on cars and trees are specks, and a window would hold them by the million.
+const OBJECTS_UP_TO_M_PER_PX: f32 = 1.0;
 
 /// Direction to the sun in the image, and shadow length per height.
 const SUN: (f32, f32) = (-0.64, -0.77);
@@ -23,7 +24,7 @@ enum Kind {
 
 /// Positions and sizes in pixels.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Object {
+struct Object {
     kind: Kind,
     x: f32,
     y: f32,
@@ -54,8 +55,39 @@ const CARS: [[f32; 3]; 8] = [
     [60.0, 74.0, 66.0],
 ];
 
+/// Draws what stands on the land over its ground.
+pub(crate) fn draw(land: &Landscape, window: Window, out: &mut [u8]) {
+    if land.gsd_m <= OBJECTS_UP_TO_M_PER_PX {
+        draw_all(&near(land, window), land, window, out);
+    }
+}
+
+/// Objects of all parcels that can reach into the window, in an order that does not depend on the window.
+fn near(land: &Landscape, window: Window) -> Vec<Object> {
+    let corners = [
+        (window.x, window.y),
+        (window.right(), window.y),
+        (window.x, window.bottom()),
+        (window.right(), window.bottom()),
+    ]
+    .map(|(x, y)| land.grid_of(x as f64, y as f64));
+    let range = |values: [f32; 4], size: f32| {
+        let low = values.iter().fold(f32::INFINITY, |a, &b| a.min(b)) - OVERHANG_M;
+        let high = values.iter().fold(f32::NEG_INFINITY, |a, &b| a.max(b)) + OVERHANG_M;
+        (low / size).floor() as i64..=(high / size).floor() as i64
+    };
+    let mut found = vec![];
+    for row in range(corners.map(|c| c.1), PARCEL_M.1) {
+        for column in range(corners.map(|c| c.0), PARCEL_M.0) {
+            of_parcel(&land.parcel(column, row), land, &mut found);
+        }
+    }
+    found.retain(|o| o.touches(window));
+    found
+}
+
 /// Adds the objects of a parcel, always in the same order.
-pub(crate) fn of_parcel(parcel: &Parcel, land: &Landscape, out: &mut Vec<Object>) {
+fn of_parcel(parcel: &Parcel, land: &Landscape, out: &mut Vec<Object>) {
     let mut rng = Rng::new(parcel.hash ^ parcel.column as u64, 25, parcel.row as u64);
     let mut place = Placer { parcel, land, out };
     match parcel.kind {
@@ -184,7 +216,7 @@ impl Object {
         self.half.0.hypot(self.half.1) * 1.15 + self.shadow + 2.0
     }
 
-    pub(crate) fn touches(&self, window: Window) -> bool {
+    fn touches(&self, window: Window) -> bool {
         let r = self.reach();
         self.x + r >= window.x as f32
             && self.x - r <= window.right() as f32
@@ -301,7 +333,7 @@ impl Object {
 }
 
 /// Draws shadows of all, then the objects from the ground up.
-pub(crate) fn draw(objects: &[Object], land: &Landscape, window: Window, out: &mut [u8]) {
+fn draw_all(objects: &[Object], land: &Landscape, window: Window, out: &mut [u8]) {
     let mut order: Vec<&Object> = objects.iter().collect();
     // Stable: within a kind the order of the parcels stays.
     order.sort_by_key(|o| o.kind);

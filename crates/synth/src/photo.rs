@@ -9,7 +9,7 @@ use std::sync::Arc;
 use gdal::Dataset;
 use gdal::raster::{GdalDataType, ResampleAlg};
 
-use super::scene::cell_hash;
+use super::rng::{hash2, mix, purpose};
 use autoref_raster::error::{Error, Result};
 use autoref_raster::window::Window;
 
@@ -310,4 +310,9 @@ fn blend(row: &mut [u8], other: &[u8], weight: impl Fn(usize) -> u32) {
             *a = ((u32::from(*a) * (256 - w) + u32::from(*b) * w + 128) >> 8) as u8;
         }
     }
+}
+
+/// A stable hash of a spec's cell, for the patchwork.
+fn cell_hash(seed: u64, column: i64, row: i64) -> u64 {
+    hash2(mix(seed ^ purpose::MOSAIC), column, row)
 }

@@ -1,7 +1,6 @@
 //! Where the image lies on the map and which GCPs get a mark.
 
-use super::rng::Rng;
-use super::scene::purpose;
+use super::rng::{Rng, purpose};
 use super::spec::{Background, SynthSpec, Visible};
 use autoref_raster::coords::{GeoTransform, MapPoint};
 use autoref_raster::error::{Error, Result};

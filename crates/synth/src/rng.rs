@@ -10,6 +10,16 @@ pub fn hash2(seed: u64, x: i64, y: i64) -> u64 {
     mix(seed ^ (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f))
 }
 
+/// Streams of random numbers, one per purpose.
+pub(crate) mod purpose {
+    pub const VISIBLE: u64 = 2;
+    pub const DISPLACE: u64 = 3;
+    pub const MARK: u64 = 4;
+    pub const CLUTTER: u64 = 5;
+    pub const PLACED: u64 = 6;
+    pub const MOSAIC: u64 = 7;
+}
+
 /// A sequence of its own for every purpose.
 #[derive(Clone, Debug)]
 pub struct Rng(SplitMix64);

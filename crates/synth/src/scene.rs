@@ -5,24 +5,15 @@ use std::sync::Arc;
 
 use super::landscape::Landscape;
 use super::mark::Mark;
+use super::objects;
 use super::photo::{Patchwork, PhotoStore};
-use super::rng::{NoiseTable, Rng, hash2, mix, value_noise};
+use super::rng::{NoiseTable, Rng, mix, purpose, value_noise};
 use super::shape::Shape;
 use super::spec::{Background, Border, MarkSize, MarkStyle, MarkTurn, SynthSpec};
 use super::truth::{Shadow, Truth, TruthClutter, TruthGcp};
 use autoref_raster::coords::{GeoTransform, PixelPoint};
 use autoref_raster::error::{Error, Result};
 use autoref_raster::window::Window;
-
-/// Streams of random numbers, one per purpose.
-pub(crate) mod purpose {
-    pub const VISIBLE: u64 = 2;
-    pub const DISPLACE: u64 = 3;
-    pub const MARK: u64 = 4;
-    pub const CLUTTER: u64 = 5;
-    pub const PLACED: u64 = 6;
-    pub const MOSAIC: u64 = 7;
-}
 
 /// Side of the cells in which marks are looked up.
 const BUCKET_PX: f64 = 512.0;
@@ -262,7 +253,10 @@ impl Scene {
         }
         let mut ground = vec![0u8; (window.area() * 3) as usize];
         match &self.ground {
-            Ground::Landscape(l) => l.render(window, &mut ground),
+            Ground::Landscape(land) => {
+                land.render(window, &mut ground);
+                objects::draw(land, window, &mut ground);
+            }
             Ground::Flat(rgb) => ground.chunks_exact_mut(3).for_each(|p| p.copy_from_slice(rgb)),
             Ground::Patchwork(m) => m.render(window, &mut ground)?,
             Ground::AsIs(store) => store.read_plain(0, window, &mut ground)?,
@@ -431,9 +425,4 @@ fn check(spec: &SynthSpec) -> Result<()> {
         return refuse("noise or displacement out of range".into(), "give a positive number of sensible size");
     }
     Ok(())
-}
-
-/// A stable hash of a spec's cell, for the patchwork.
-pub(crate) fn cell_hash(seed: u64, column: i64, row: i64) -> u64 {
-    hash2(mix(seed ^ purpose::MOSAIC), column, row)
 }
