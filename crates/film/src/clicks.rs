@@ -6,7 +6,7 @@
 mod corner;
 mod field;
 
-use super::learn::Grid;
+use super::stack::Grid;
 use field::Field;
 
 /// Correlation of edges from which a mark shows the same as the others, and contrast, of theirs, below which it is
@@ -169,6 +169,7 @@ fn sigma_of_clicks(found: &[Centre]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::stack::even;
 
     fn cross_at(grid: &Grid, x: f64, y: f64) -> Vec<f32> {
         let soft = |d: f64| (-0.5 * d * d).exp();
@@ -279,6 +280,34 @@ mod tests {
                 let error = (found[0] - true_off[0]).hypot(found[1] - true_off[1]);
                 assert!(error < 0.2, "{found:?} for {true_off:?}");
             }
+        }
+    }
+
+    /// Dots of five pixels on opaque film with grain, each pointed at two pixels off in another direction.
+    #[test]
+    fn clicks_beside_small_dots_are_moved_onto_them() {
+        const SIDE: usize = 83;
+        let grid = Grid { step_mm: 0.06, width: SIDE, height: SIDE };
+        let off = [[1.6, -1.2], [-2.0, 0.3], [0.4, 1.9], [-1.3, -1.5]];
+        let windows: Vec<Vec<f32>> = off
+            .iter()
+            .enumerate()
+            .map(|(k, [dx, dy])| {
+                let value = |n: usize| {
+                    let (x, y) = ((n % SIDE) as f64 + 0.5 - 41.5 - dx, (n / SIDE) as f64 + 0.5 - 41.5 - dy);
+                    let grain = (((n + 7919 * k) as u32).wrapping_mul(2_654_435_761) >> 16) % 1000;
+                    let cover = (3.0 - x.hypot(y)).clamp(0.0, 1.0);
+                    0.04 + 0.8 * cover as f32 + 0.04 * (grain as f32 / 1000.0 - 0.5)
+                };
+                let mut values: Vec<f32> = (0..SIDE * SIDE).map(value).collect();
+                even(&mut values);
+                values
+            })
+            .collect();
+        let views: Vec<&[f32]> = windows.iter().map(Vec::as_slice).collect();
+        for (centre, [dx, dy]) in centres(&views, &grid).into_iter().zip(off) {
+            let [x, y] = centre.centre.shift().expect("a dot tells its centre");
+            assert!((x - dx).hypot(y - dy) < 0.3, "{x} {y} instead of {dx} {dy}");
         }
     }
 }

@@ -7,8 +7,9 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
+use super::scan::open_scan;
 use super::types::{Camera, FrameResult, FrameStatus, InteriorModel, MarkFind};
-use super::window::{around, open_scan, read_grey};
+use super::window::{around, read_grey};
 use autoref_raster::RasterSource;
 use autoref_raster::atomic;
 use autoref_raster::coords::PixelPoint;

@@ -8,17 +8,17 @@ use std::path::{Path, PathBuf};
 
 use super::frame::{FindOptions, Finder};
 use super::interior::{Pose, fit_pose, refit};
+use super::scan::open_scan;
 use super::shown::Shown;
 
 pub use super::shown::Pointed;
+use super::stack::{Grid, Stack, cut};
 use super::template::{LearnedTemplate, Model};
 use super::types::{Camera, FrameResult, MarkKind, MarkStatus};
-use super::window::{Grey, around, open_scan, read_grey};
 use autoref_raster::RasterSource;
 use autoref_raster::atomic;
 use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::error::{Error, Result};
-use autoref_raster::keys;
 use autoref_raster::output_folder::OutputFolder;
 
 /// Where the camera's marks are to be expected in an upright scan of so many pixels, in the camera's order; `turn_deg`
@@ -33,13 +33,8 @@ pub fn expected(camera: &Camera, size_px: [f64; 2], options: &FindOptions) -> Ve
     camera.film_points().into_iter().map(|mm| pose.apply(mm)).collect()
 }
 
-/// Spread of brightness between frames, of the window's own range, at which a value counts half.
-const SPREAD: f64 = 0.12;
 /// Marks that correlate less are not averaged.
 const LEAST_SCORE: f64 = 0.5;
-/// Values along the longer side of a template, at most.
-const MOST_VALUES: f64 = 2048.0;
-
 /// One template per mark of the camera, in the camera's order; `None` where fewer than two frames show the mark (one,
 /// when only one frame is given).
 ///
@@ -297,150 +292,4 @@ fn good_marks(camera: &Camera, frame: &FrameResult) -> Vec<(usize, PixelPoint)> 
         .filter(|m| m.status != MarkStatus::Missing && m.score.is_some_and(|s| s >= LEAST_SCORE))
         .filter_map(|m| Some((camera.marks.iter().position(|c| c.name == m.mark)?, m.centre?)))
         .collect()
-}
-
-/// The values of a template: one grid for all frames of a roll, so that they can be averaged.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Grid {
-    pub step_mm: f64,
-    pub width: usize,
-    pub height: usize,
-}
-
-impl Grid {
-    /// One value per pixel of `pose`, at most [`MOST_VALUES`] along a side.
-    pub fn new(pose: &Pose, window_mm: [f64; 2]) -> Grid {
-        let step_mm = (1.0 / pose.px_per_mm()).max(window_mm[0].max(window_mm[1]) / MOST_VALUES);
-        let [width, height] = window_mm.map(|mm| ((mm / step_mm).round() as usize).max(8));
-        Grid { step_mm, width, height }
-    }
-}
-
-/// The mark's surroundings as it stands at the lower edge, dark 0, bright 1. `None` when they leave the scan.
-pub(super) fn cut(
-    scan: &dyn RasterSource,
-    camera: &Camera,
-    pose: &Pose,
-    k: usize,
-    at: PixelPoint,
-    grid: &Grid,
-) -> Result<Option<Vec<f32>>> {
-    let Grid { step_mm, width, height } = *grid;
-    let linear = pose.shape_linear(camera.turns_deg()[k]);
-    let half_px = 0.5 * (width as f64).hypot(height as f64) * step_mm * pose.px_per_mm() + 4.0;
-    let Some(window) = around(at, half_px, half_px, &scan.info().bounds()) else { return Ok(None) };
-    let grey = read_grey(scan, window, 1)?;
-    let mut values = Vec::with_capacity(width * height);
-    for j in 0..height {
-        for i in 0..width {
-            let u = (i as f64 + 0.5 - 0.5 * width as f64) * step_mm;
-            let v = -(j as f64 + 0.5 - 0.5 * height as f64) * step_mm;
-            let p = PixelPoint { x: at.x + linear[0] * u + linear[1] * v, y: at.y + linear[2] * u + linear[3] * v };
-            match cubic(&grey, p) {
-                Some(value) => values.push(value),
-                None => return Ok(None),
-            }
-        }
-    }
-    even(&mut values);
-    Ok(Some(values))
-}
-
-/// How many times the range of most values that of all may be before the mark is what few values show: a thin line, a
-/// dot.
-const THIN: f32 = 2.0;
-
-/// Dark 0, bright 1: by what a twentieth of the values lies beyond, or, where a mark covers less of the window than
-/// that, by what a five-hundredth does; else grain fills the range and a thin mark is cut off at its top.
-fn even(values: &mut [f32]) {
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f32::total_cmp);
-    let range = |part: usize| (sorted[part], sorted[sorted.len() - 1 - part]);
-    let (most, all) = (range(sorted.len() / 20), range((sorted.len() / 500).min(sorted.len() / 20)));
-    let (low, high) = if all.1 - all.0 > THIN * (most.1 - most.0) { all } else { most };
-    let range = (high - low).max(1e-4);
-    values.iter_mut().for_each(|v| *v = ((*v - low) / range).clamp(-0.5, 1.5));
-}
-
-/// By Keys' cubic convolution, which keeps edges where straight lines between values would soften them.
-fn cubic(grey: &Grey, p: PixelPoint) -> Option<f32> {
-    let [x, y] = grey.from_scan(p).map(|v| v - 0.5);
-    if x < 0.0 || y < 0.0 || x + 1.0 >= grey.width as f64 || y + 1.0 >= grey.height as f64 {
-        return None;
-    }
-    Some(keys::cubic([grey.width, grey.height], [x, y], |i, j| grey.at(i, j)))
-}
-
-/// Windows of one mark, summed: memory does not depend on their number.
-#[derive(Clone)]
-pub(super) struct Stack {
-    pub windows: usize,
-    sum: Vec<f64>,
-    square: Vec<f64>,
-}
-
-impl Stack {
-    pub fn of(window: &[f32]) -> Stack {
-        let mut stack = Stack { windows: 0, sum: vec![0.0; window.len()], square: vec![0.0; window.len()] };
-        stack.add(window);
-        stack
-    }
-
-    pub fn add(&mut self, window: &[f32]) {
-        self.windows += 1;
-        for ((sum, square), v) in self.sum.iter_mut().zip(&mut self.square).zip(window) {
-            *sum += f64::from(*v);
-            *square += f64::from(*v).powi(2);
-        }
-    }
-
-    fn average(&self, grid: &Grid) -> LearnedTemplate {
-        let n = self.windows as f64;
-        let mean = |k: usize| self.sum[k] / n;
-        let variance = |k: usize| (self.square[k] / n - mean(k).powi(2)).max(0.0);
-        LearnedTemplate {
-            pixel_um: 1e3 * grid.step_mm,
-            width: grid.width,
-            height: grid.height,
-            reference: [0.5 * grid.width as f64, 0.5 * grid.height as f64],
-            values: (0..self.sum.len()).map(|k| mean(k) as f32).collect(),
-            weights: (0..self.sum.len()).map(|k| (1.0 / (1.0 + variance(k) / SPREAD.powi(2))) as f32).collect(),
-            marks: self.windows,
-            reference_sigma_um: 0.0,
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::clicks::centres;
-    use super::*;
-
-    /// Dots of five pixels on opaque film with grain, each pointed at two pixels off in another direction.
-    #[test]
-    fn clicks_beside_small_dots_are_moved_onto_them() {
-        const SIDE: usize = 83;
-        let grid = Grid { step_mm: 0.06, width: SIDE, height: SIDE };
-        let off = [[1.6, -1.2], [-2.0, 0.3], [0.4, 1.9], [-1.3, -1.5]];
-        let windows: Vec<Vec<f32>> = off
-            .iter()
-            .enumerate()
-            .map(|(k, [dx, dy])| {
-                let value = |n: usize| {
-                    let (x, y) = ((n % SIDE) as f64 + 0.5 - 41.5 - dx, (n / SIDE) as f64 + 0.5 - 41.5 - dy);
-                    let grain = (((n + 7919 * k) as u32).wrapping_mul(2_654_435_761) >> 16) % 1000;
-                    let cover = (3.0 - x.hypot(y)).clamp(0.0, 1.0);
-                    0.04 + 0.8 * cover as f32 + 0.04 * (grain as f32 / 1000.0 - 0.5)
-                };
-                let mut values: Vec<f32> = (0..SIDE * SIDE).map(value).collect();
-                even(&mut values);
-                values
-            })
-            .collect();
-        let views: Vec<&[f32]> = windows.iter().map(Vec::as_slice).collect();
-        for (centre, [dx, dy]) in centres(&views, &grid).into_iter().zip(off) {
-            let [x, y] = centre.centre.shift().expect("a dot tells its centre");
-            assert!((x - dx).hypot(y - dy) < 0.3, "{x} {y} instead of {dx} {dy}");
-        }
-    }
 }

@@ -5,10 +5,11 @@ use super::check::agreement;
 use super::constellation::Assembly;
 use super::frame::{FindOptions, Finder};
 use super::interior::{Pose, distance, refit};
+use super::picture::Picture;
 use super::refine::{Refined, Refiner};
-use super::search::{Levels, Peak, climb, near, search, settle};
+use super::search::{GOOD_SCORE, Levels, Peak, climb, near, search, settle};
 use super::sketch::{Sketches, refined_mm};
-use super::template::{Model, Picture, draw, invert};
+use super::template::{Model, draw, invert};
 use super::types::FrameResult;
 use super::window::{around, read_grey};
 use autoref_raster::RasterSource;
@@ -16,8 +17,6 @@ use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
 use autoref_raster::ranks::median;
 
-/// A mark that correlates less is looked at by a person.
-pub(super) const GOOD_SCORE: f64 = 0.5;
 /// How far from its prediction a mark is taken, millimetres (and 4 pixels): by the pose of coarse peaks, and by that of
 /// marks which agree.
 const REACH_MM: f64 = 0.6;

@@ -1,7 +1,8 @@
 //! Where in a window a mark may be: by correlation, coarse to fine.
 
 use super::correlate::{FLAT, Matcher, Scores};
-use super::template::{Model, Picture, Template};
+use super::picture::Picture;
+use super::template::{Model, Template};
 use super::window::{Grey, around, read_grey};
 use autoref_raster::RasterSource;
 use autoref_raster::coords::PixelPoint;
@@ -27,6 +28,8 @@ const RANK_PX: f64 = 110.0;
 const FINE_PX: f64 = 230.0;
 /// Peaks below this are no marks.
 const LEAST_SCORE: f64 = 0.3;
+/// A mark that correlates less is looked at by a person.
+pub(super) const GOOD_SCORE: f64 = 0.5;
 
 /// Values added beyond the scan's edge.
 const EDGE_VALUES: u64 = 2;

@@ -2,7 +2,7 @@
 
 use super::clicks::{Centre, Told, centres};
 use super::interior::{Pose, distance, fit_pose, refit, rms_px};
-use super::learn::{Grid, Stack, cut};
+use super::stack::{Grid, Stack, cut};
 use super::types::Camera;
 use autoref_raster::RasterSource;
 use autoref_raster::coords::{Handedness, PixelPoint};

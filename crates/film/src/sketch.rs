@@ -4,8 +4,9 @@
 use std::cell::OnceCell;
 use std::rc::Rc;
 
+use super::picture::Picture;
 use super::refine::Refiner;
-use super::template::{Linear, Model, Picture};
+use super::template::{Linear, Model};
 
 /// Least squares of a whole mark reach so many times as far as the mark: to the corners of its box, or round marks.
 const REFINED: f64 = 1.5;

@@ -3,14 +3,12 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::spool::SpooledSource;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
 use autoref_raster::simd::{Kernel, widest};
 use autoref_raster::window::Window;
 use autoref_raster::{
-    Block, BlockLayout, Piece, PieceData, PixelRow, RasterInfo, RasterSource, ReadStats, ReaderChoice, SampleType,
-    Samples, open,
+    Block, BlockLayout, Piece, PieceData, PixelRow, RasterInfo, RasterSource, ReadStats, SampleType, Samples,
 };
 
 /// Rows read at a time: what is held of the file while a large window is decimated.
@@ -98,30 +96,6 @@ fn add_means<const N: usize>(row: &[f32], scale: f32, out: &mut [f32]) {
     }
 }
 
-/// Decoded blocks kept of a scan while it is examined.
-const CACHE_BYTES: u64 = 24 << 20;
-/// Scans that can only be read from the top down are held in memory up to this size, decoded; larger ones go to a
-/// temporary file.
-const HELD_BYTES: u64 = 24 << 20;
-
-/// Opens a scan for reading in windows. JPEG, PNG and files of one compressed strip, which cannot be, are decoded once
-/// to grey.
-///
-/// # Errors
-/// Those of [`open`] and, for such a file, of reading it and of [`SpooledSource::of`].
-pub fn open_scan(path: &Path) -> Result<Arc<dyn RasterSource>> {
-    let source = open(path, ReaderChoice::Auto, 0, CACHE_BYTES)?;
-    let info = source.info();
-    if !info.sequential {
-        return Ok(source);
-    }
-    let sample_bytes = if info.sample == SampleType::U8 { 1 } else { 2 };
-    if info.pixels() * sample_bytes > HELD_BYTES {
-        return Ok(Arc::new(SpooledSource::of(source.as_ref())?));
-    }
-    Ok(Arc::new(GreySource::read_whole(source.as_ref())?))
-}
-
 /// Gives every row of a scan as grey samples, from top to bottom; holds 64 rows.
 ///
 /// # Errors
@@ -181,7 +155,7 @@ impl GreySource {
         GreySource { info, data: GreyData::U16(Arc::new(data)) }
     }
 
-    fn read_whole(source: &dyn RasterSource) -> Result<Self> {
+    pub(super) fn read_whole(source: &dyn RasterSource) -> Result<Self> {
         let from = source.info();
         let mut info = grey_info(&from.path, from.width, from.height, from.sample, from.white);
         info.geotransform = from.geotransform;

@@ -1,7 +1,7 @@
 //! The windows about places that were pointed at, laid on each other and on themselves turned by half a turn.
 
-use super::super::learn::Grid;
 use super::{Values, count};
+use crate::stack::Grid;
 
 /// Half the side of the disc that is compared, millimetres.
 const DISC_MM: f64 = 1.6;

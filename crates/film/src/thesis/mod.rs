@@ -12,9 +12,10 @@ mod threshold;
 
 use super::frame::{FindOptions, Finder};
 use super::interior::{Pose, distance, fit_pose};
+use super::picture::Picture;
 use super::remeasure::{Measured, located, placed};
 use super::search::{Peak, search};
-use super::template::{Linear, Picture};
+use super::template::Linear;
 use super::types::{FrameResult, MarkKind};
 use super::window::{Grey, around, read_grey};
 use autoref_raster::RasterSource;

@@ -8,7 +8,7 @@ use autoref_film::resample::banding::Banding;
 use autoref_film::resample::kernel::Kernel;
 use autoref_film::resample::lighting::{self, Lighting};
 use autoref_film::resample::{self, Light, ResampleOptions};
-use autoref_film::{Camera, FrameResult, window};
+use autoref_film::{Camera, FrameResult, scan};
 use autoref_raster::words::counted;
 use clap::ValueEnum;
 
@@ -133,7 +133,7 @@ pub fn resample_roll(dir: &Path, camera: &Camera, frames: &[FrameResult], args: 
             (None, LightingName::Frame) => Light::OfFrame,
             (None, _) => Light::AsScanned,
         };
-        let done = window::open_scan(&frame.path).and_then(|source| {
+        let done = scan::open_scan(&frame.path).and_then(|source| {
             resample::resample(source.as_ref(), camera, interior, &options, light, description, [image, mask])
         });
         if let Err(error) = done {
@@ -155,7 +155,7 @@ fn roll_light(camera: &Camera, frames: &[&FrameResult], options: &ResampleOption
     let mut cells = Vec::new();
     for frame in frames.iter().step_by(every) {
         let Some(interior) = &frame.interior else { continue };
-        let read = window::open_scan(&frame.path)
+        let read = scan::open_scan(&frame.path)
             .and_then(|source| resample::frame_cells(source.as_ref(), camera, interior, options));
         match read {
             Ok(one) => cells.push(one),
