@@ -35,13 +35,37 @@ const CRATES: &[(&str, &[&str])] = &[
     ),
 ];
 
+/// Source trees in which no room may import itself through others.
+const TREES: &[&str] = &[
+    "src",
+    "crates/cloud/src",
+    "crates/cosine/src",
+    "crates/film/src",
+    "crates/raster/src",
+    "crates/review/src",
+    "crates/solve/src",
+    "crates/synth/src",
+];
+
 #[test]
 fn no_room_imports_itself_through_others() {
-    let imports = imports(&crate::common::root().join("src"));
-    assert!(imports.contains_key("pipeline") && imports["pipeline"].contains("segment"), "the sources were not read");
-    if let Some(ring) = ring(&imports) {
-        panic!("rooms import each other in a ring: {}", ring.join(" → "));
+    let of = |tree: &str| imports(&crate::common::root().join(tree));
+    for (tree, from, to) in [("src", "pipeline", "segment"), ("crates/film/src", "learn", "shown")] {
+        assert!(of(tree).get(from).is_some_and(|names| names.contains(to)), "{tree}: the sources were not read");
     }
+    for tree in TREES {
+        if let Some(ring) = ring(&of(tree)) {
+            panic!("{tree}: rooms import each other in a ring: {}", ring.join(" → "));
+        }
+    }
+}
+
+#[test]
+fn imports_are_seen_however_they_are_written() {
+    let code = "use crate::{a, b::{C, D},\n e as f};\nuse super::{g::H,\n    i};\nlet k = super::j::j() + crate::l();\n\
+                use super::super::m::{N, o};\nuse self::p::Q;";
+    assert_eq!(named(code, 1).into_iter().collect::<String>(), "abegijl");
+    assert_eq!(named(code, 2).into_iter().collect::<String>(), "abelm");
 }
 
 #[test]
@@ -79,7 +103,8 @@ fn crates(root: &Path) -> Vec<std::path::PathBuf> {
     folders.map(|entry| entry.expect("readable").path()).filter(|p| p.join("Cargo.toml").exists()).collect()
 }
 
-/// Which room of a source tree names which, unit tests and comments apart. A room is a folder or file at the top.
+/// Which room of a source tree names which, unit tests and comments apart. A room is a folder or file at the top, but not
+/// the crate's own `lib.rs` or `main.rs`.
 fn imports(top: &Path) -> Imports {
     let mut out = Imports::new();
     let mut todo = vec![top.to_owned()];
@@ -92,21 +117,59 @@ fn imports(top: &Path) -> Imports {
             continue;
         }
         let inside = path.strip_prefix(top).expect("below it").to_string_lossy().into_owned();
+        if ["lib.rs", "main.rs"].contains(&inside.as_str()) {
+            continue;
+        }
         let room = inside.split('/').next().expect("a name").trim_end_matches(".rs").to_owned();
         let text = std::fs::read_to_string(&path).expect("UTF-8");
         let code = text.split("#[cfg(test)]\nmod tests").next().expect("a first part");
-        let entry = out.entry(room.clone()).or_default();
-        for line in code.lines().map(|line| line.split("//").next().expect("a first part")) {
-            for named in line.split("crate::").skip(1) {
-                assert!(!named.starts_with('{'), "{inside}: one `use` a room, or this test does not see them all");
-                let name: String = named.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
-                if name != room && !name.is_empty() {
-                    entry.insert(name);
-                }
+        let code: Vec<&str> = code.lines().map(|line| line.split("//").next().expect("a first part")).collect();
+        let depth = inside.split('/').count() - usize::from(inside.ends_with("/mod.rs"));
+        let mut names = named(&code.join("\n"), depth);
+        names.remove(&room);
+        out.entry(room).or_default().extend(names);
+    }
+    out
+}
+
+/// What code names of its crate's top: after `crate::`, and after as many `super::` as lead there from a module `depth`
+/// levels below it.
+fn named(code: &str, depth: usize) -> BTreeSet<String> {
+    let mut names = BTreeSet::new();
+    for top in ["crate::".to_owned(), "super::".repeat(depth)] {
+        for (at, _) in code.match_indices(&top) {
+            let (before, path) = (&code[..at], &code[at + top.len()..]);
+            if !before.ends_with("::") && !path.starts_with("super::") {
+                names.extend(members(path).into_iter().map(first_name).filter(|name| !name.is_empty()));
             }
         }
     }
-    out
+    names
+}
+
+/// The members of a group in braces, or the one path there is.
+fn members(path: &str) -> Vec<&str> {
+    let Some(group) = path.strip_prefix('{') else { return vec![path] };
+    let (mut members, mut begin, mut level) = (vec![], 0, 0);
+    for (at, c) in group.char_indices() {
+        match c {
+            ',' | '}' if level == 0 => {
+                members.push(&group[begin..at]);
+                begin = at + 1;
+                if c == '}' {
+                    break;
+                }
+            }
+            '{' => level += 1,
+            '}' => level -= 1,
+            _ => {}
+        }
+    }
+    members
+}
+
+fn first_name(path: &str) -> String {
+    path.trim_start().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect()
 }
 
 /// A ring of rooms, its first name again at the end.
