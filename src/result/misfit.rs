@@ -1,10 +1,9 @@
 //! Residuals that are larger than an orthophoto's should be, and what they come of.
 
-use autoref_raster::coords::{MapPoint, PixelPoint};
-use autoref_solve::planar::{self, Kind};
-use autoref_solve::similarity::Pair;
+use autoref_raster::coords::{Handedness, PixelPoint};
 
-use super::{ChosenModel, MatchRow, SolvedRun};
+use super::departure::{Departure, Shape};
+use super::{ChosenModel, MatchRow, RunResult};
 use crate::candidate::Candidate;
 
 /// A survey whose σ nobody states is this good, metres.
@@ -17,30 +16,35 @@ pub const LEAST_MISFIT_PX: f64 = 2.0;
 const LEAST_STRETCH_PX: f64 = 0.5;
 /// So large a share of marks in pieces is no chance.
 const LEAST_IN_PIECES: f64 = 0.34;
-/// An affine transform explains them when it leaves less than this share at points that it has not seen: fewest points,
-/// and the share.
-const LEFT_BY_AFFINE: [(usize, f64); 2] = [(8, 0.4), (6, 0.25)];
-
 /// The points do not fit as marks of an orthophoto do.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Misfit {
-    /// An affine transform explains most of the residuals.
-    Stretched { rmse_px: f64, affine_px: f64 },
+    /// A transform of another kind explains most of the residuals, and leaves `left_px` at points that it has not seen.
+    Departs { rmse_px: f64, left_px: f64, departure: Departure },
     /// Residuals that neither the marks' centres nor the survey explain.
-    Bad { rmse_px: f64, expected_px: f64 },
+    Bad { rmse_px: f64, expected_px: f64, worst_px: f64 },
     /// Centres or survey are known no better.
-    Rough { rmse_px: f64 },
+    Rough { rmse_px: f64, survey: Survey },
     /// Of many matched marks a part was measured. Parts that lie alike in their marks fit each other as well as the
     /// marks would. `off_px` is how far a part may lie from the middle of its mark, the median.
     InPieces { marks: usize, of: usize, off_px: f64 },
 }
 
+/// Where the accuracy of a list comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Survey {
+    Stated,
+    /// Nobody stated it: [`USUAL_SURVEY_M`].
+    Assumed,
+}
+
 impl Misfit {
     /// Of what is written: the affine transform where that was chosen, else the similarity, whatever is reported beside
     /// it. `None` where the points fit, or nothing tells. Residuals count for the degrees of freedom that are left.
-    pub fn of(run: &SolvedRun, candidates: &[Candidate]) -> Option<Misfit> {
+    pub fn of(result: &RunResult) -> Option<Misfit> {
+        let run = result.solved()?;
         let rows = &run.matches;
-        let mut off_px = in_pieces(rows, candidates);
+        let mut off_px = in_pieces(rows, &result.candidates);
         let marks = off_px.len();
         if marks >= 3 && marks as f64 >= LEAST_IN_PIECES * rows.len() as f64 {
             off_px.sort_unstable_by(f64::total_cmp);
@@ -54,13 +58,11 @@ impl Misfit {
             return None;
         }
         let rmse_px = residual_rms_px(rows.iter().map(|row| row.residual_px), taken);
-        if !is_affine
-            && rmse_px >= LEAST_STRETCH_PX
-            && let Some(affine_px) = affine_px(run)
-        {
-            let explains = |(fewest, share): &(usize, f64)| rows.len() >= *fewest && affine_px < share * rmse_px;
-            if LEFT_BY_AFFINE.iter().any(explains) {
-                return Some(Misfit::Stretched { rmse_px, affine_px });
+        if !is_affine && rmse_px >= LEAST_STRETCH_PX {
+            let [_, a, b, _, c, d] = run.geotransform.0;
+            let handedness = Handedness::from(a * d - b * c > 0.0);
+            if let Some(departure) = Departure::of(rows, handedness, middle(result, rows)) {
+                return Some(Misfit::Departs { rmse_px, left_px: departure.left_m / scale, departure });
             }
         }
         if rmse_px < LEAST_MISFIT_PX {
@@ -71,15 +73,21 @@ impl Misfit {
             row.covariance_px2.map_or(0.0, |c| c[0] + c[2]) + 2.0 * survey_px * survey_px
         });
         let expected_px = (expected.sum::<f64>() / n).sqrt();
-        let bad = rmse_px > TIMES * expected_px;
-        Some(if bad { Misfit::Bad { rmse_px, expected_px } } else { Misfit::Rough { rmse_px } })
+        if rmse_px > TIMES * expected_px {
+            let worst_px = rows.iter().map(|row| row.residual_px).fold(0.0, f64::max);
+            return Some(Misfit::Bad { rmse_px, expected_px, worst_px });
+        }
+        let survey = if rows.iter().all(|row| row.survey_sigma_m.is_none()) { Survey::Assumed } else { Survey::Stated };
+        Some(Misfit::Rough { rmse_px, survey })
     }
 
-    /// How far the whole image may be off beyond what the residuals show, at most about, pixels.
-    pub fn common_px(&self) -> f64 {
+    /// How far a place of the image may be off beyond what a similarity's noise lets expect, pixels at most about.
+    pub fn beyond_px(&self, pixel: PixelPoint, scale_m_per_px: f64) -> f64 {
         match self {
             Misfit::InPieces { off_px, .. } => *off_px,
-            Misfit::Stretched { .. } | Misfit::Bad { .. } | Misfit::Rough { .. } => 0.0,
+            Misfit::Departs { departure, .. } => departure.at_m(pixel) / scale_m_per_px,
+            Misfit::Bad { worst_px, .. } => *worst_px,
+            Misfit::Rough { .. } => 0.0,
         }
     }
 
@@ -91,17 +99,25 @@ impl Misfit {
     /// What is to be said against the fit, as a part of a sentence.
     pub fn clause(&self) -> String {
         match self {
-            Misfit::Stretched { rmse_px, affine_px } => format!(
-                "the image is stretched or sheared in the CRS of the fit: residuals of {rmse_px:.1} px, \
-                 {affine_px:.1} px with --model affine"
-            ),
+            Misfit::Departs { rmse_px, left_px, departure } => match departure.shape {
+                Shape::Stretched => format!(
+                    "the image is stretched or sheared in the CRS of the fit: residuals of {rmse_px:.1} px, {left_px:.1} px \
+                     with --model affine"
+                ),
+                Shape::Domed => format!(
+                    "the image is bent as by a lens: residuals of {rmse_px:.1} px, {left_px:.1} px with a bend that grows \
+                     outwards"
+                ),
+                Shape::Bent => format!(
+                    "the image is bent: residuals of {rmse_px:.1} px, {left_px:.1} px with a bend of the second degree"
+                ),
+            },
             Misfit::Bad { rmse_px, .. } => {
                 format!("the points fit badly ({rmse_px:.1} px): do not trust it before you know why")
             }
-            Misfit::Rough { rmse_px } => format!(
-                "the points fit only to {rmse_px:.1} px: where parts of marks were measured, all of it is \
-                 farther off"
-            ),
+            Misfit::Rough { rmse_px, .. } => {
+                format!("the points fit only to {rmse_px:.1} px: where marks and survey are better, something is wrong")
+            }
             Misfit::InPieces { marks, of, .. } => format!(
                 "{marks} of {of} marks lie in pieces, of which one was measured: do not trust it to less than \
                  a mark's width"
@@ -113,18 +129,32 @@ impl Misfit {
     pub fn note(&self) -> String {
         let parts = "parts of marks were measured (unless it is named already, name their paint with --paint, or their --profile)";
         match self {
-            Misfit::Stretched { rmse_px, affine_px } => format!(
-                "the points fit a similarity to {rmse_px:.1} px and an affine transform to {affine_px:.1} px: the image is \
-                 no true orthophoto; make it anew, or take --model affine"
-            ),
-            Misfit::Bad { rmse_px, expected_px } => format!(
+            Misfit::Departs { rmse_px, left_px, departure } => match departure.shape {
+                Shape::Stretched => format!(
+                    "the points fit a similarity to {rmse_px:.1} px and an affine transform to {left_px:.1} px: the image \
+                     is no true orthophoto; make it anew, or take --model affine"
+                ),
+                Shape::Domed | Shape::Bent => format!(
+                    "the points fit a similarity to {rmse_px:.1} px and a bent image to {left_px:.1} px: the image is no \
+                     true orthophoto; make it anew with GCPs in the adjustment. Expected errors count the bend"
+                ),
+            },
+            Misfit::Bad { rmse_px, expected_px, .. } => format!(
                 "residuals of {rmse_px:.1} px where marks and survey let expect {expected_px:.1} px: {parts}, coordinates \
                  of the list are wrong, or the image is bent"
             ),
-            Misfit::Rough { rmse_px } => format!(
-                "residuals of {rmse_px:.1} px, which the uncertain centres of the marks or the stated survey allow: {parts}, \
-                 or they are worn or covered"
-            ),
+            Misfit::Rough { rmse_px, survey } => {
+                let allowed = match survey {
+                    Survey::Stated => "which the marks' centres and the stated survey allow",
+                    Survey::Assumed => {
+                        "which the 20 mm allow that are assumed of a survey whose accuracy nobody states"
+                    }
+                };
+                format!(
+                    "residuals of {rmse_px:.1} px, {allowed}: state how good the survey is (--accuracy); where it is \
+                     better, points are wrong, the image is bent or shifted in parts, or {parts}"
+                )
+            }
             Misfit::InPieces { marks, of, .. } => format!(
                 "{marks} of {of} marks lie in pieces: other candidates lie beside them, or their centres are uncertain by a \
                  good part of their width; {parts}, and the whole image may be as far off as a mark is wide; name the size \
@@ -174,17 +204,15 @@ pub fn residual_rms_px(residuals_px: impl Iterator<Item = f64>, taken: f64) -> f
     (square / f64::max(n - taken, 1.0)).sqrt()
 }
 
-/// RMSE of an affine transform at points that were left out of it, pixels.
-fn affine_px(run: &SolvedRun) -> Option<f64> {
-    let pair = |row: &MatchRow| Pair {
-        pixel: PixelPoint { x: row.x, y: row.y },
-        covariance_px2: None,
-        map: MapPoint { easting: row.easting, northing: row.northing },
-        survey_sigma_m: None,
+/// The middle of the image, or of the marks where the image is not known.
+fn middle(result: &RunResult, rows: &[MatchRow]) -> PixelPoint {
+    let n = rows.len() as f64;
+    let of_marks = || PixelPoint {
+        x: rows.iter().map(|row| row.x).sum::<f64>() / n,
+        y: rows.iter().map(|row| row.y).sum::<f64>() / n,
     };
-    let pairs: Vec<Pair> = run.matches.iter().map(pair).collect();
-    let fit = planar::fit(&pairs, Kind::Affine).ok()?;
-    Some(fit.leave_one_out_rmse_m? / run.fit.scale_m_per_px)
+    let of = |side: u64| side as f64 / 2.0;
+    result.image.as_ref().map_or_else(of_marks, |image| PixelPoint { x: of(image.width), y: of(image.height) })
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! `docs/result.schema.json` is the JSON Schema of it.
 
 mod chosen_model;
+mod departure;
 mod document;
 mod misfit;
 
@@ -19,7 +20,8 @@ use autoref_raster::error::{Error, Result};
 use autoref_solve::{Similarity, Solution};
 
 pub use chosen_model::{ChosenModel, PlanarModel, SimilarityModel, Solver, SpatialModel, SpatialResidual};
-pub use misfit::{LEAST_MISFIT_PX, Misfit, residual_rms_px};
+pub use departure::{Departure, Shape};
+pub use misfit::{LEAST_MISFIT_PX, Misfit, Survey, residual_rms_px};
 
 /// Version of the layout; it grows when a field changes its meaning.
 pub const SCHEMA_VERSION: u32 = 1;

@@ -73,19 +73,24 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
     statement.reservations.extend(untested(solved, list));
     solved.accuracy = Some(statement);
     solved.expected_errors = accuracy::error_map::corners(solution, size_px);
-    let misfit = result.solved().and_then(|solved| Misfit::of(solved, &result.candidates));
+    let misfit = Misfit::of(result);
     if let (Some(misfit), Some(solved)) = (&misfit, result.solved_mut()) {
-        let common_m = misfit.common_px() * solved.fit.scale_m_per_px;
+        let scale_m_per_px = solved.fit.scale_m_per_px;
         for corner in &mut solved.expected_errors {
+            let beyond_m = misfit.beyond_px(corner.corner.place(size_px), scale_m_per_px) * scale_m_per_px;
+            let with = |expected_m: f64| match misfit {
+                // A bend is there for certain; its own noise is what the residuals show.
+                Misfit::Departs { .. } => expected_m + beyond_m,
+                _ => expected_m.hypot(beyond_m),
+            };
             let expected = &mut corner.expected;
-            expected.transform_95_m = expected.transform_95_m.hypot(common_m);
-            expected.point_95_m = expected.point_95_m.hypot(common_m);
+            (expected.transform_95_m, expected.point_95_m) = (with(expected.transform_95_m), with(expected.point_95_m));
         }
     }
     let rmse_m = result.solved().map_or(0.0, |solved| solved.fit.rmse_m);
     let bend = list.working_crs.bend().filter(|bend| bend.explains(rmse_m));
     let note = match (bend, misfit) {
-        (Some(bend), None | Some(Misfit::Stretched { .. })) => Some(bend.note()),
+        (Some(bend), None | Some(Misfit::Departs { .. })) => Some(bend.note()),
         (_, misfit) => misfit.map(|misfit| misfit.note()),
     };
     result.warnings.extend(note);

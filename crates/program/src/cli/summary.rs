@@ -126,7 +126,7 @@ impl Verdict {
             .map(|log10| format!("makes such a pattern in one of 10^{:.0} images", (-log10).max(0.0).floor()));
         let and_chance = chance.as_ref().map_or(String::new(), |text| format!("; chance {text}"));
         let tested = tested(run);
-        let misfit = Misfit::of(run, &result.candidates);
+        let misfit = Misfit::of(result);
         let outlier = run.matches.iter().chain(&run.check_points).any(|m| m.outlier);
         // The surest mistake speaks; it does not hide that points do not fit.
         if let Some(diagnosis) = spoken_of(&result.diagnoses) {

@@ -101,6 +101,20 @@ pub enum Corner {
     LowerLeft,
 }
 
+impl Corner {
+    const CLOCKWISE: [Corner; 4] = [Corner::UpperLeft, Corner::UpperRight, Corner::LowerRight, Corner::LowerLeft];
+
+    /// Where it lies in an image of this size.
+    pub fn place(self, (width_px, height_px): (f64, f64)) -> PixelPoint {
+        match self {
+            Corner::UpperLeft => PixelPoint { x: 0.0, y: 0.0 },
+            Corner::UpperRight => PixelPoint { x: width_px, y: 0.0 },
+            Corner::LowerRight => PixelPoint { x: width_px, y: height_px },
+            Corner::LowerLeft => PixelPoint { x: 0.0, y: height_px },
+        }
+    }
+}
+
 impl ErrorMap {
     /// The map of an image of the given size, the longer side in `steps` steps (at least 1) and the other in steps
     /// about as long. `None` when the solution says nothing of its noise.
@@ -134,18 +148,17 @@ fn place(column: usize, row: usize, columns: usize, rows: usize, width_px: f64, 
 pub fn corners(solution: &Solution, (width_px, height_px): (f64, f64)) -> Vec<CornerError> {
     let Some(model) = ErrorModel::new(solution) else { return Vec::new() };
     let middle = solution.similarity.apply(PixelPoint { x: width_px / 2.0, y: height_px / 2.0 });
-    [
-        (Corner::UpperLeft, 0.0, 0.0),
-        (Corner::UpperRight, width_px, 0.0),
-        (Corner::LowerRight, width_px, height_px),
-        (Corner::LowerLeft, 0.0, height_px),
-    ]
-    .into_iter()
-    .map(|(corner, x, y)| {
-        let p = PixelPoint { x, y };
-        CornerError { corner, direction: direction(middle, solution.similarity.apply(p)).into(), expected: model.at(p) }
-    })
-    .collect()
+    Corner::CLOCKWISE
+        .into_iter()
+        .map(|corner| {
+            let p = corner.place((width_px, height_px));
+            CornerError {
+                corner,
+                direction: direction(middle, solution.similarity.apply(p)).into(),
+                expected: model.at(p),
+            }
+        })
+        .collect()
 }
 
 /// One of the eight winds.
