@@ -4,7 +4,9 @@ use crate::grid::Grid;
 use crate::stream::BLOCK_PX;
 use crate::window::Window;
 
-use super::fit::{Flats, Gather, Pair, ROUGH, SHIFTS, SLOPES, State, Sums};
+use super::pair::Pair;
+use super::parameters::{SHIFTS, State};
+use super::sums::{Flats, Gather, Partial, ROUGH, SLOPES, Sums};
 use super::surface::terms;
 
 /// Upper limits of the slope classes, as tangents; the last has none.
@@ -15,32 +17,6 @@ const LEVEL: f64 = 1e-18;
 
 /// Cells along a block.
 pub const SIDE: usize = BLOCK_PX as usize;
-
-/// Plain sums of a block, made in one fixed order.
-pub struct Partial<const N: usize> {
-    pub matrix: [[f64; N]; N],
-    pub right: [f64; N],
-    pub rough: [f64; ROUGH],
-}
-
-impl<const N: usize> Partial<N> {
-    fn add(&mut self, left: &[f64; N], right: &[f64; N], curvature: f64, weighed: f64) {
-        for (i, &l) in left.iter().enumerate() {
-            self.right[i] += weighed * l;
-            let scaled = curvature * l;
-            for (sum, &r) in self.matrix[i].iter_mut().zip(right) {
-                *sum += scaled * r;
-            }
-        }
-    }
-
-    /// The shift alone, by the template's gradient as it is.
-    fn add_rough(&mut self, [tx, ty]: [f64; 2], [ox, oy]: [f64; 2], curvature: f64, weighed: f64) {
-        let of_matrix = [tx * ox, tx * oy, ty * ox, ty * oy].map(|term| curvature * term);
-        let terms = of_matrix.into_iter().chain([weighed * tx, weighed * ty]);
-        self.rough.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
-    }
-}
 
 /// A tile of both models with at least one cell around it.
 pub struct View<'a> {

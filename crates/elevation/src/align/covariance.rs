@@ -5,8 +5,8 @@ use nalgebra::{DMatrix, DVector};
 use crate::grid::Grid;
 use crate::stream::BLOCK_PX;
 
-use super::fit::Sums;
-use super::search::Free;
+use super::parameters::Free;
+use super::sums::Sums;
 
 /// Blocks wide enough that neighbours hardly depend on each other, and not too many to hold.
 pub(super) fn score_block_px(grid: &Grid) -> u64 {

@@ -13,7 +13,9 @@ use crate::source::Patch;
 use crate::stream::{self, Means};
 
 use super::block::{Gradient, SIDE};
-use super::fit::{Moved, MovedBuffers, Pair, State, apart, mark_stable};
+use super::fit::apart;
+use super::pair::{Moved, MovedBuffers, Pair, mark_stable};
+use super::parameters::State;
 use super::spread;
 use super::surface::Degree;
 

@@ -5,8 +5,8 @@ use crate::grid::Grid;
 use crate::source::{Heights, Means as Averaged, MemoryHeights};
 use crate::stream::{self, BLOCK_PX, Means};
 
-use super::fit::Pair;
-use super::{Method, Options};
+use super::method::{Method, Options};
+use super::pair::Pair;
 
 /// The search looks at so many cells across at most.
 pub(super) const SEARCH_CELLS: u64 = 96;

@@ -1,6 +1,6 @@
 //! How wide residuals scatter.
 
-use super::fit::CLIP;
+use super::weighing::CLIP;
 
 /// Counts of absolute residuals, 64 buckets for each power of two.
 #[derive(Clone)]

@@ -9,10 +9,15 @@ use crate::source::{Heights as _, MemoryHeights, Patch};
 use crate::stream::{self, Means};
 
 use super::covariance::{covariance, score_block_px};
-use super::fit::{self, Flats, Gather, Pair, SHIFTS, SLOPES, State, Sums, Weighing};
+use super::fit;
+use super::method::{Method, Options};
+use super::pair::Pair;
+use super::parameters::{Free, SHIFTS, State};
 use super::pyramid::{Level, SEARCH_CELLS, level_of_degree, pyramid};
+use super::sums::{Flats, Gather, SLOPES, Sums};
 use super::surface::Degree;
-use super::{Method, Options, nuth_kaab, spread};
+use super::weighing::Weighing;
+use super::{nuth_kaab, spread};
 
 /// Fewest common cells of a fit.
 const FEWEST_CELLS: u64 = 50;
@@ -38,35 +43,6 @@ pub struct Fitted {
 pub enum Found {
     Fitted(Box<Fitted>),
     Nothing(String),
-}
-
-/// What is fitted: a shift or none, and a surface. The parameters that are free lie side by side.
-#[derive(Clone, Copy)]
-pub(super) struct Free {
-    moves: bool,
-    surface: Degree,
-}
-
-impl Free {
-    fn of(method: Method) -> Free {
-        let surface = match method {
-            Method::Auto | Method::Tilt => Degree::Linear,
-            Method::NuthKaab | Method::Lzd | Method::Bias => Degree::Level,
-        };
-        Free { moves: method.moves(), surface }
-    }
-
-    fn with(self, surface: Degree) -> Free {
-        Free { surface, ..self }
-    }
-
-    pub(super) fn first(self) -> usize {
-        if self.moves { 0 } else { SHIFTS }
-    }
-
-    pub(super) fn count(self) -> usize {
-        SHIFTS + self.surface.terms() - self.first()
-    }
 }
 
 /// Finds the state that brings the two models together.

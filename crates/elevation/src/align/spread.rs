@@ -6,7 +6,8 @@ use crate::stream::{self, Means};
 use crate::window::Window;
 use crate::zeros::Zeros;
 
-use super::fit::{Moved, MovedBuffers, Pair, State, mark_stable};
+use super::pair::{Moved, MovedBuffers, Pair, mark_stable};
+use super::parameters::State;
 use super::surface::Degree;
 
 /// Of the differences template − other − surface.
