@@ -5,7 +5,7 @@
 //! are not taken for a correlation, less the mean product of the cells of a sample; of windows far from each other of
 //! all their cells, which is the product of the means.
 
-use super::variogram::Bin;
+use super::variogram::{Bin, LagClasses};
 use super::{Buffers, Observed};
 use crate::error::Result;
 use crate::stream::{self, Means};
@@ -31,15 +31,6 @@ const PER_DOUBLING: f64 = 2.0;
 const BINS: usize = 64;
 /// Fewer pairs are no class.
 const FEWEST_PAIRS: f64 = 50.0;
-
-/// The classes of distance that hold enough pairs.
-pub(super) struct LagClasses {
-    pub bins: Vec<Bin>,
-    /// How many independent values each rests on.
-    pub values: Vec<f64>,
-    /// The semivariances of all classes where one window is left out, window by window.
-    pub without: Vec<Vec<f64>>,
-}
 
 /// Sums over pairs, class by class.
 #[derive(Clone)]

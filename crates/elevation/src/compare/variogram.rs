@@ -8,7 +8,6 @@
 
 use serde::Serialize;
 
-use super::lags::LagClasses;
 use crate::error::Result;
 
 /// One class of distance.
@@ -17,6 +16,15 @@ pub struct Bin {
     pub lag_m: f64,
     pub semivariance_m2: f64,
     pub pairs: u64,
+}
+
+/// The classes of distance that hold enough pairs.
+pub(super) struct LagClasses {
+    pub bins: Vec<Bin>,
+    /// How many independent values each rests on.
+    pub values: Vec<f64>,
+    /// The semivariances of all classes where one window is left out, window by window.
+    pub without: Vec<Vec<f64>>,
 }
 
 /// The empirical variogram and the sum of two spherical models that was fitted to it.
