@@ -2,7 +2,7 @@
 //! aspect, roughness, TRI, TPI, colours, contours.
 #![allow(unsafe_code)]
 
-use std::ffi::{CStr, CString, c_char};
+use std::ffi::{CString, c_char};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -14,8 +14,10 @@ use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags};
 use autoref_raster::{Written, failed_to_write, is_cut_table};
 
 use crate::error::{Error, Result};
+use crate::gdal_call::{c_string, failure, last_error};
 use crate::model::look_through;
 use crate::row_cache::{self, RowCache, Use};
+use crate::warp::warp_dataset;
 use autoref_raster::bounded;
 
 /// What is drawn, with the options of `gdaldem`.
@@ -225,23 +227,6 @@ fn check_colours(path: &Path, text: &[u8]) -> Result<()> {
     Ok(())
 }
 
-fn c_string(path: &Path, bytes: &[u8]) -> Result<CString> {
-    CString::new(bytes).map_err(|_| Error::usage(format!("{}: a zero byte in a name", path.display()), "rename it"))
-}
-
-/// The last error of this thread when it breaks the result.
-fn failure() -> Option<String> {
-    // SAFETY: takes nothing and reads this thread's error state.
-    let kind = unsafe { gdal_sys::CPLGetLastErrorType() };
-    matches!(kind, gdal_sys::CPLErr::CE_Failure | gdal_sys::CPLErr::CE_Fatal).then(last_error)
-}
-
-fn last_error() -> String {
-    // SAFETY: GDAL returns a valid string that lives until this thread's next error; it is copied here.
-    let text = unsafe { CStr::from_ptr(gdal_sys::CPLGetLastErrorMsg()) }.to_string_lossy().into_owned();
-    if text.is_empty() { "it gives no reason".into() } else { text }
-}
-
 /// The driver whose lines have a table in a file of its own.
 const SHAPEFILE: &str = "ESRI Shapefile";
 
@@ -372,37 +357,6 @@ pub fn check_resolution(model: &Path, side: f64) -> Result<()> {
 /// GDAL's own words, when it cannot.
 pub fn warp(source: &Path, out: &Path, options: &[&str]) -> Result<()> {
     warp_dataset(&crate::model::open_stored(source)?, source, out, options)
-}
-
-/// [`warp`] of a dataset of `source` as it is.
-///
-/// # Errors
-/// As [`warp`].
-pub(crate) fn warp_dataset(dataset: &Dataset, source: &Path, out: &Path, options: &[&str]) -> Result<()> {
-    let words: Vec<CString> = options.iter().map(|o| c_string(source, o.as_bytes())).collect::<Result<_>>()?;
-    let mut pointers: Vec<*mut c_char> = words.iter().map(|w| w.as_ptr().cast_mut()).collect();
-    pointers.push(std::ptr::null_mut());
-    let name = c_string(out, out.as_os_str().as_bytes())?;
-    // SAFETY: the list of options is ended by a null pointer; strings and the dataset outlive the calls, the options
-    // are freed once, and the dataset that is made is closed once and not used again.
-    let failed = unsafe {
-        gdal_sys::CPLErrorReset();
-        let options = gdal_sys::GDALWarpAppOptionsNew(pointers.as_mut_ptr(), std::ptr::null_mut());
-        if options.is_null() {
-            Some(last_error())
-        } else {
-            let (mut usage, mut from) = (0, dataset.c_dataset());
-            let made = gdal_sys::GDALWarp(name.as_ptr(), std::ptr::null_mut(), 1, &mut from, options, &mut usage);
-            gdal_sys::GDALWarpAppOptionsFree(options);
-            if made.is_null() {
-                Some(last_error())
-            } else {
-                gdal_sys::GDALClose(made);
-                failure()
-            }
-        }
-    };
-    failed.map_or(Ok(()), |text| Err(failed_to_write(out, &format!("warping {}: {text}", source.display()))))
 }
 
 #[cfg(test)]

@@ -14,6 +14,7 @@ pub mod couple;
 pub mod derive;
 pub mod files;
 pub mod footprint;
+mod gdal_call;
 pub mod gradient;
 pub mod grid;
 pub mod histogram;
@@ -28,6 +29,7 @@ pub mod resample;
 mod row_cache;
 pub mod source;
 pub mod stream;
+mod warp;
 pub mod zeros;
 pub mod zones;
 

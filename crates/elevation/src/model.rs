@@ -14,6 +14,7 @@ use crate::error::{Error, Result};
 use crate::grid::{Grid, GroundUnit};
 use crate::lift::Lift;
 use crate::source::{Heights, Patch};
+use crate::warp::warp_dataset;
 use autoref_raster::markup::escaped;
 use autoref_raster::tiff::FloatTiff;
 use autoref_raster::{HeightBand, masked};
@@ -402,7 +403,7 @@ fn without_masked(path: &Path, dataset: &Dataset, kind: &str, nodata: f64) -> Re
     let (columns, rows, nodata) = (width.to_string(), height.to_string(), number(nodata));
     let grid = ["-te", &west, &south, &east, &north, "-ts", &columns, &rows];
     let options = ["-of", "VRT", "-r", "near", "-et", "0", "-novshift", "-ot", kind, "-dstnodata", &nodata];
-    crate::derive::warp_dataset(dataset, path, Path::new(&name), &[&options[..], &grid].concat())?;
+    warp_dataset(dataset, path, Path::new(&name), &[&options[..], &grid].concat())?;
     Ok((open_named(Path::new(&name), path)?, name))
 }
 
