@@ -1,7 +1,8 @@
 //! Cells that one source gives: the one that a rule or an index chooses.
 
+use super::rule::Choice;
 use super::source::Source;
-use super::{Choice, Tile, Whole, Worker, holds};
+use super::{Tile, Whole, Worker, holds};
 use crate::error::Result;
 use crate::resample::Interpolation;
 use crate::window::Window;

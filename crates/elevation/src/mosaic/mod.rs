@@ -1,24 +1,28 @@
 //! Many rasters joined into one: which source wins is decided cell by cell, tile by tile.
 
+mod alike;
 mod balance;
 mod blend;
 mod choose;
+mod companion;
 mod distance;
 mod form;
 mod graph;
+mod layout;
 mod mix;
 mod page;
 mod read;
 mod reduce;
+mod rule;
 mod source;
 mod turn;
 
 pub use balance::{Balance, Balancing, DifferenceMap, Overlap, Surface};
 pub use blend::WIDEST_BLEND_PX;
-pub use source::companions;
+pub use companion::companions;
+pub use rule::Choice;
 
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use gdal::raster::GdalDataType;
@@ -32,46 +36,9 @@ use crate::resample::Interpolation;
 use crate::window::Window;
 use autoref_raster::cloud_optimised::{self, Overviews};
 use autoref_raster::words::counted;
+use form::range;
 use read::Opened;
 use source::Source;
-
-/// Which source a cell is taken from.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Choice {
-    /// The smallest value of a companion raster; `{stem}` in the pattern is the source's file name without extension.
-    Min(String),
-    First,
-    Last,
-    /// The latest date: of the file's metadata, else of its name, else of the file.
-    Newest,
-    /// The source whose centre is nearest.
-    Nearest,
-    /// The median of all sources, band by band.
-    Median,
-    /// The mean of all sources, weighed by the distance from their edges.
-    Feather,
-}
-
-impl FromStr for Choice {
-    type Err = String;
-    fn from_str(text: &str) -> std::result::Result<Self, String> {
-        match text {
-            "first" => Ok(Choice::First),
-            "last" => Ok(Choice::Last),
-            "newest" => Ok(Choice::Newest),
-            "nearest" => Ok(Choice::Nearest),
-            "median" => Ok(Choice::Median),
-            "feather" => Ok(Choice::Feather),
-            _ => match text.strip_prefix("min:") {
-                Some(pattern) if pattern.contains("{stem}") => Ok(Choice::Min(pattern.to_string())),
-                Some(pattern) => Err(format!("`{pattern}` has no {{stem}}: write min:{{stem}}_range_mean.tif")),
-                None => Err(format!(
-                    "`{text}` is no choice; write min:PATTERN, first, last, newest, nearest, median or feather"
-                )),
-            },
-        }
-    }
-}
 
 /// `mosaic`.
 pub struct MosaicJob<'a> {
@@ -159,8 +126,8 @@ impl MosaicJob<'_> {
     pub fn run(&self) -> Result<Made> {
         self.resources.check()?;
         self.check_rules()?;
-        let (sources, grid) = source::open_all(self.inputs, &self.choice, self.resolution)?;
-        let index = self.use_index.map(|path| source::open_index(path, &grid)).transpose()?;
+        let (sources, grid) = layout::open_all(self.inputs, &self.choice, self.resolution)?;
+        let index = self.use_index.map(|path| layout::open_index(path, &grid)).transpose()?;
         let mut balance = match self.balance {
             Some(surface) => {
                 let balancing = Balancing { surface, reference: self.reference()? };
@@ -209,8 +176,8 @@ impl MosaicJob<'_> {
             files.stage_bytes(path, page::text(&footprints, &grid, balance).as_bytes())?;
         }
         files.commit()?;
-        let mut notes = form::notes(&sources);
-        notes.extend(source::without_companion(&sources, &grid, &counts.uncosted));
+        let mut notes = alike::notes(&sources);
+        notes.extend(companion::without_companion(&sources, &grid, &counts.uncosted));
         Ok(Made {
             notes,
             sources: sources
@@ -331,18 +298,6 @@ impl MosaicJob<'_> {
 /// The values of a tile, in double precision.
 const MOST_TILE_BYTES: u64 = 4 << 20;
 
-/// Least and largest number that cells of a kind hold.
-fn range(kind: GdalDataType) -> (f64, f64) {
-    match kind {
-        GdalDataType::UInt8 => (0.0, 255.0),
-        GdalDataType::UInt16 => (0.0, 65_535.0),
-        GdalDataType::Int16 => (-32_768.0, 32_767.0),
-        GdalDataType::UInt32 => (0.0, f64::from(u32::MAX)),
-        GdalDataType::Int32 => (f64::from(i32::MIN), f64::from(i32::MAX)),
-        _ => (f64::MIN, f64::MAX),
-    }
-}
-
 /// What a file of a kind holds of a number.
 fn stored(kind: GdalDataType, value: f64) -> f64 {
     let (least, most) = range(kind);
@@ -412,7 +367,7 @@ impl Whole<'_> {
         let first = &self.sources[0];
         let threads = self.job.threads(self.sources);
         let float = matches!(first.kind, GdalDataType::Float32 | GdalDataType::Float64);
-        let nodata = form::nodata_of(self.sources);
+        let nodata = alike::nodata_of(self.sources);
         let void = nodata.unwrap_or(0.0);
         let deciding = first.deciding_bands();
         let form = Form {
@@ -424,7 +379,7 @@ impl Whole<'_> {
             threads,
         };
         let mut dataset = output::create::<T>(path, &form)?;
-        let masked = form::describe(self.sources, path, &mut dataset, nodata)?;
+        let masked = alike::describe(self.sources, path, &mut dataset, nodata)?;
         let index_form = Form { bands: 1, nodata: Some(0.0), predictor: 2, ..form };
         let index = index_path.map(|p| output::create::<u32>(p, &index_form).map(|d| (p, d))).transpose()?;
         let count = self.sources.len();

@@ -1,6 +1,5 @@
-//! The sources of a mosaic: what is known of them, and how windows of them are read.
+//! A source of a mosaic: what is known of it, and where it lies.
 
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use gdal::raster::{ColorInterpretation, GdalDataType};
@@ -10,14 +9,10 @@ use crate::coords::GeoTransform;
 use crate::error::{Error, Result};
 use crate::grid::{Grid, GroundUnit};
 use crate::model::open_dataset;
-use crate::output;
 use crate::window::Window;
 use autoref_raster::masked;
-use autoref_raster::protected::{protect, same_file};
 
-use super::form::{self, BandForm, check_alike, check_one_crs};
-use super::{Choice, turn};
-use autoref_raster::words::counted;
+use super::form::{self, BandForm};
 
 /// One raster.
 pub struct Source {
@@ -44,13 +39,11 @@ pub struct Source {
     pub companion: Option<Box<Source>>,
 }
 
-/// Blocks of a TIFF whose places are listed in less than two gigabytes.
-const MOST_BLOCKS: f64 = 1e8;
 /// Cells that lie this near to cells of the mosaic are taken to be them, in cells.
-const SNAP_PX: f64 = 0.01;
+pub(super) const SNAP_PX: f64 = 0.01;
 
 impl Source {
-    fn open(path: &Path) -> Result<Source> {
+    pub(super) fn open(path: &Path) -> Result<Source> {
         if path.is_dir() {
             return Err(Error::format(path, "path", "is a directory; name the rasters in it"));
         }
@@ -160,7 +153,7 @@ impl Source {
     }
 
     /// Brings the grid to the mosaic's where it is nearly there.
-    fn snap(&mut self, mosaic: &Grid) {
+    pub(super) fn snap(&mut self, mosaic: &Grid) {
         let (x, y) = ((self.grid.x0 - mosaic.x0) / mosaic.step_x, (self.grid.y0 - mosaic.y0) / mosaic.step_y);
         let same = |a: f64, b: f64, cells: u64| (a / b - 1.0).abs() * (cells as f64) < SNAP_PX;
         let near = |v: f64| (v - v.round()).abs() < SNAP_PX;
@@ -217,145 +210,6 @@ fn date_of(path: &Path, dataset: &Dataset) -> String {
     format!("{year:04}{month:02}{day:02}")
 }
 
-/// Opens all sources, and lays out the grid that holds them: cells of the first one's size and phase.
-///
-/// # Errors
-/// When `resolution` is no positive length, there is no input, a source or companion cannot be opened, sources differ
-/// in bands, type of samples, what bands mean, palette or CRS, two of them have one companion, a companion does not lie
-/// on its source, or the grid has more than 2³¹ − 1 rows or columns, or more blocks than a file.
-pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) -> Result<(Vec<Source>, Grid)> {
-    if resolution.is_some_and(|r| !(r > 0.0 && r.is_finite())) {
-        return Err(Error::usage("--resolution is no positive length", "give the side of a cell in map units"));
-    }
-    let mut sources: Vec<Source> = inputs.iter().map(|path| Source::open(path)).collect::<Result<_>>()?;
-    check_alike(&sources)?;
-    companions(inputs, choice).iter().for_each(|path| protect(path));
-    turn::bring_together(&mut sources);
-    let origin = sources[0].grid;
-    let (step_x, step_y) = resolution.map_or((origin.step_x, origin.step_y), |r| (r, -r));
-    let bounds = sources
-        .iter()
-        .map(|s| s.grid.bounds())
-        .fold(origin.bounds(), |a, b| [a[0].min(b[0]), a[1].min(b[1]), a[2].max(b[2]), a[3].max(b[3])]);
-    // Whole cells from the first one's corner; a hundredth of a cell is no reason for another one.
-    let cells = |from: f64, to: f64, step: f64| ((to - from) / step.abs() - SNAP_PX).ceil().max(0.0);
-    let (left, up) = (cells(bounds[0], origin.x0, step_x), cells(origin.y0, bounds[3], step_y));
-    let grid = Grid {
-        x0: origin.x0 - left * step_x,
-        y0: origin.y0 - up * step_y,
-        step_x,
-        step_y,
-        width: (left + cells(origin.x0, bounds[2], step_x)).max(1.0) as u64,
-        height: (up + cells(bounds[1], origin.y0, step_y)).max(1.0) as u64,
-    };
-    let block_px = output::block_px(sources[0].bands);
-    let blocks = grid.width.div_ceil(block_px) as f64 * grid.height.div_ceil(block_px) as f64 * sources[0].bands as f64;
-    if grid.width.max(grid.height) > i32::MAX as u64 || blocks > MOST_BLOCKS {
-        return Err(Error::usage(
-            format!("a mosaic of {} x {} cells", grid.width, grid.height),
-            "give a larger --resolution, or look for a source far away from the others",
-        ));
-    }
-    let mut taken = HashMap::new();
-    for source in &mut sources {
-        source.snap(&grid);
-        if let Choice::Min(pattern) = choice {
-            let path = companion_path(&source.path, pattern);
-            if let Some(other) = taken.insert(path.clone(), source.path.clone()) {
-                return Err(Error::usage(
-                    format!(
-                        "{} is the companion of {} and of {}",
-                        path.display(),
-                        other.display(),
-                        source.path.display()
-                    ),
-                    "give each source a companion of its own, named by the whole {stem}",
-                ));
-            }
-            source.companion = Some(Box::new(open_companion(source, path, &grid)?));
-        }
-    }
-    Ok((sources, grid))
-}
-
-/// Opens what a source's cells cost, which must lie on it.
-fn open_companion(source: &Source, path: PathBuf, mosaic: &Grid) -> Result<Source> {
-    let named = |e: Error| match e {
-        Error::Unsupported { what, remedy, .. } => Error::unsupported(&path, what, remedy),
-        other => other,
-    };
-    let mut companion = Source::open(&path)?;
-    check_one_crs(source, &companion).map_err(named)?;
-    turn::bring_to(&mut companion, &source.grid);
-    if source.grid.overlap(&companion.grid).is_none() {
-        let what = format!("a companion that lies elsewhere than its source {}", source.path.display());
-        return Err(Error::unsupported(&path, what, "write it again with the source, or correct its place"));
-    }
-    companion.snap(mosaic);
-    Ok(companion)
-}
-
-/// Sources with cells that have no value in the companion, as words. `cells` counts them.
-pub fn without_companion(sources: &[Source], mosaic: &Grid, cells: &[u64]) -> Vec<String> {
-    let note = |(source, cells): (&Source, &u64)| {
-        let companion = source.companion.as_ref().filter(|_| *cells > 0)?;
-        let size = (source.grid.step_x / mosaic.step_x) * (source.grid.step_y / mosaic.step_y);
-        let share = 100.0 * *cells as f64 / (source.grid.width as f64 * source.grid.height as f64 * size);
-        Some(format!(
-            "{}: {} ({share:.1} % of its area) without a value in {}: not taken from it",
-            source.path.display(),
-            counted(*cells, "cell", "cells"),
-            companion.path.display()
-        ))
-    };
-    sources.iter().zip(cells).filter_map(note).collect()
-}
-
-/// What a rule makes a mosaic read beside its sources, so that it can be protected before anything is written.
-pub fn companions(inputs: &[PathBuf], choice: &Choice) -> Vec<PathBuf> {
-    let Choice::Min(pattern) = choice else { return Vec::new() };
-    inputs.iter().map(|source| companion_path(source, pattern)).collect()
-}
-
-/// The companion raster of a source. `{stem}` is the source's name; where no such file is, the name up to one of its
-/// underscores, the longest first: the companion of `A_z_mean.tif` by `{stem}_range_mean.tif` is `A_range_mean.tif`.
-fn companion_path(source: &Path, pattern: &str) -> PathBuf {
-    let stem = source.file_stem().unwrap_or_default().to_string_lossy();
-    let path = |stem: &str| {
-        let name = PathBuf::from(pattern.replace("{stem}", stem));
-        if name.is_absolute() || pattern.contains('/') && name.exists() {
-            name
-        } else {
-            source.with_file_name("").join(name)
-        }
-    };
-    let whole = path(&stem);
-    if whole.exists() {
-        return whole;
-    }
-    let shorter = std::iter::successors(Some(&*stem), |stem| stem.rsplit_once('_').map(|(start, _)| start));
-    shorter.map(path).find(|path| path.exists() && !same_file(path, source)).unwrap_or(whole)
-}
-
-/// An index raster, which must have the mosaic's grid.
-///
-/// # Errors
-/// When it cannot be opened, or has another grid than `grid`.
-pub fn open_index(path: &Path, grid: &Grid) -> Result<Source> {
-    let mut index = Source::open(path)?;
-    index.snap(grid);
-    let same = index.on_grid && (index.grid.x0, index.grid.y0) == (grid.x0, grid.y0);
-    if !same || (index.grid.width, index.grid.height) != (grid.width, grid.height) {
-        return Err(Error::unsupported(
-            path,
-            "an index on another grid than the mosaic's",
-            "write it with --write-index",
-        ));
-    }
-    index.bands = 1;
-    Ok(index)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -371,25 +225,6 @@ mod tests {
             made.set_metadata_item("TIFFTAG_DATETIME", said, "").expect("set");
             made.close().expect("written");
             assert_eq!(date_of(&path, &Dataset::open(&path).expect("opens")), date);
-        }
-    }
-
-    #[test]
-    fn a_companion_goes_by_the_longest_name_that_is_there() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let at = |name: &str| folder.path().join(name);
-        let source = at("north_7_z_mean.tif");
-        let pattern = "{stem}_range_mean.tif";
-        // Nothing there: the name that the whole stem makes, for the message.
-        assert_eq!(companion_path(&source, pattern), at("north_7_z_mean_range_mean.tif"));
-        // A source may be its own companion; a shorter name does not take its place.
-        for name in ["north_7_z_mean.tif", "north.tif"] {
-            std::fs::write(at(name), "").expect("a file");
-        }
-        assert_eq!(companion_path(&source, "{stem}.tif"), source);
-        for name in ["north_range_mean.tif", "north_7_range_mean.tif", "north_7_z_mean_range_mean.tif"] {
-            std::fs::write(at(name), "").expect("a file");
-            assert_eq!(companion_path(&source, pattern), at(name));
         }
     }
 }

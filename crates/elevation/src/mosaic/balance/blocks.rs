@@ -8,6 +8,7 @@ use crate::output::{self, Cut};
 use crate::resample::Interpolation;
 use crate::window::Window;
 
+use super::super::form::range;
 use super::super::read::Opened;
 use super::super::source::Source;
 
@@ -146,7 +147,7 @@ fn limits(kind: GdalDataType) -> Option<(f64, f64)> {
     let is_float = matches!(kind, GdalDataType::Float32 | GdalDataType::Float64);
     // Half a number within: what was drawn from cells at the limit is there but for rounding.
     let inside = |(least, most): (f64, f64)| (least + 0.5, most - 0.5);
-    (!is_float).then(|| inside(super::super::range(kind)))
+    (!is_float).then(|| inside(range(kind)))
 }
 
 /// The block of two sources whose corner lies there in the window, when both have enough cells in a band.
