@@ -8,10 +8,10 @@ use autoref_raster::protected::same_file;
 use gdal::Dataset;
 use gdal::raster::ResampleAlg;
 
-use crate::batch::Given;
 use crate::bits::BitMask;
 use crate::classify::Classes;
 use crate::fill::Fill;
+use crate::given::Given;
 use crate::labelled::LabelledMask;
 use crate::reduce::Reduced;
 use crate::shapes::{Meaning, SAYS_NOTHING, Shape};

@@ -7,9 +7,9 @@ use autoref_raster::window::Window;
 use crate::bits::BitMask;
 use crate::classify::{Classifier, Cleaner, classify};
 use crate::entropy::{RADIUS_PX, entropy};
+use crate::names::Names;
 use crate::plane::Plane;
 use crate::reduce::Reduced;
-use crate::resume::Names;
 use crate::write;
 
 /// Stages `NAME_Class.tif` (probability of keep, 0…255; 0 and 255 where the method has none), `NAME_Entropy.tif` (⅟₃₂

@@ -8,10 +8,12 @@ use autoref_raster::error::{Error, Result};
 use autoref_raster::markup::escaped;
 use autoref_raster::window::Window;
 
-use crate::batch::{Done, Report};
+use crate::batch::Done;
 use crate::bits::BitMask;
+use crate::names::Names;
 use crate::reduce::Reduced;
-use crate::resume::{self, Names};
+use crate::report::Report;
+use crate::resume;
 use crate::shapes::Shape;
 
 /// Longer side of a picture, px.

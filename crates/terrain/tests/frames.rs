@@ -6,9 +6,12 @@ mod skipped;
 use std::path::{Path, PathBuf};
 
 use autoref_raster::ReaderChoice;
-use autoref_terrain::batch::{Extras, Given, Method, Options, mask_frame, teach};
+use autoref_terrain::batch::mask_frame;
 use autoref_terrain::clean::Cleaning;
+use autoref_terrain::given::Given;
+use autoref_terrain::options::{Extras, Method, Options};
 use autoref_terrain::shapes::{self, Lesson, parse_sample};
+use autoref_terrain::teach::teach;
 use autoref_terrain::write::MaskCompression;
 use gdal::DriverManager;
 use gdal::raster::{Buffer, RasterCreationOptions};

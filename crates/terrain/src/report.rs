@@ -1,0 +1,125 @@
+//! What became of a frame, with the warnings that its shares give.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::bits::BitMask;
+use crate::classify::Classes;
+use crate::names::Names;
+use crate::options::Options;
+use crate::reduce::Reduced;
+use crate::unlike::UNLIKE_SHARE;
+
+/// What became of a frame.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    #[serde(serialize_with = "autoref_raster::path_text::one")]
+    pub frame: PathBuf,
+    pub status: &'static str,
+    pub width: u64,
+    pub height: u64,
+    pub keep_share: f64,
+    pub classes: Shares,
+    pub unsure_share: f64,
+    /// Share of the frame that is far from all that was taught (`auto`).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unlike_share: Option<f64>,
+    pub warnings: Vec<String>,
+    #[serde(serialize_with = "autoref_raster::path_text::one")]
+    pub mask: PathBuf,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(serialize_with = "autoref_raster::path_text::some")]
+    pub probability: Option<PathBuf>,
+    pub method: &'static str,
+    pub reduce: usize,
+    /// Names of the files that were written, in the folder of the masks.
+    pub outputs: Vec<String>,
+    /// What they hold, but for this report: fingerprints by name.
+    pub contents: BTreeMap<String, String>,
+    pub fingerprint: String,
+}
+
+/// Shares of the frame's pixels.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Shares {
+    pub keep: f64,
+    pub mask: f64,
+    /// Pixels that hold nothing; they are masked.
+    pub empty: f64,
+}
+
+/// The report of a frame that was masked; what is written comes to it later.
+pub(crate) fn report(
+    frame: &Path,
+    names: &Names,
+    reduced: &Reduced,
+    classes: &Classes,
+    options: &Options,
+    fingerprint: String,
+) -> Report {
+    let (keep, unsure) = (classes.keep.share(), classes.unsure.as_ref().map_or(0.0, BitMask::share));
+    let empty = 1.0 - reduced.valid.share();
+    let mut warnings = Vec::new();
+    if keep < 0.02 {
+        warnings.push("almost everything is masked".to_string());
+    } else if keep > 0.995 {
+        warnings.push("almost nothing is masked".to_string());
+    }
+    if unsure > 0.15 {
+        warnings.push(format!("unsure about {:.0} % of the frame; teach it with --sample or --teach", 100.0 * unsure));
+    }
+    if let Some(unlike) = classes.unlike.filter(|share| *share > UNLIKE_SHARE) {
+        warnings.push(format!(
+            "this frame is unlike all teaching frames: {:.0} % of it look like nothing that was taught; teach one of its flight \
+             with --teach",
+            100.0 * unlike
+        ));
+    }
+    if let Some(share) = classes.kept_though_even.filter(|share| *share > EVEN_SHARE) {
+        warnings.push(format!(
+            "an even area along the upper border is kept, {:.0} % of the frame: if it is sky, teach it with --sample or \
+             --teach",
+            100.0 * share
+        ));
+    }
+    if let Some(row) = horizon(&classes.keep) {
+        warnings.push(format!("horizon found: nothing is kept above row {}", row * reduced.factor));
+    }
+    Report {
+        frame: frame.into(),
+        status: "done",
+        width: reduced.width,
+        height: reduced.height,
+        keep_share: keep,
+        classes: Shares { keep, mask: (1.0 - keep - empty).max(0.0), empty },
+        unsure_share: unsure,
+        unlike_share: classes.unlike,
+        warnings,
+        mask: names.mask.clone(),
+        probability: classes.probability.as_ref().map(|_| names.probability.clone()),
+        method: options.method.name(),
+        reduce: reduced.factor,
+        outputs: names.written(options, classes.probability.is_some()),
+        contents: BTreeMap::new(),
+        fingerprint,
+    }
+}
+
+/// Kept in an even area along the upper border: a greater share of the frame is warned of.
+const EVEN_SHARE: f64 = 0.1;
+
+/// The first row with ground, when at least a twentieth of the rows above hold none and most columns begin so. Ground
+/// under a sky reaches both sides of the frame; a margin all around does not let it.
+fn horizon(keep: &BitMask) -> Option<usize> {
+    let count = |y: usize| -> u32 { keep.row(y).iter().map(|word| word.count_ones()).sum() };
+    let first = (0..keep.height()).find(|&y| count(y) > 0)?;
+    let below: u64 = (first..keep.height()).map(|y| u64::from(count(y))).sum();
+    let ground = below as f64 / (keep.width() * (keep.height() - first)) as f64;
+    let margin = keep.width() / 50;
+    let reaches =
+        |columns: std::ops::Range<usize>| (first..keep.height()).any(|y| columns.clone().any(|x| keep.get(x, y)));
+    let sides = reaches(0..margin + 1) && reaches(keep.width() - margin - 1..keep.width());
+    (first * 20 >= keep.height() && ground > 0.2 && sides).then_some(first)
+}
