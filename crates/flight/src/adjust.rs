@@ -1,146 +1,39 @@
 //! A reconstruction of free datum brought to the ground: similarity by the GCPs, then bundle adjustment with the GCPs
 //! as weighted observations, blunders named, check points compared.
 
+mod adjusted;
 mod astray;
 mod datum;
 mod misfit;
+mod options;
 mod outcome;
 mod positions;
 mod rays;
 mod reason;
 mod screening;
 mod snooping;
+mod survey;
 
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::Vector3;
 
+pub use self::adjusted::{AdjustedCamera, AdjustedPoint, Adjustment, Blunder};
 use self::astray::Astray;
 pub(crate) use self::datum::by_poses;
 use self::datum::placing;
 pub use self::datum::{OnGround, on_ground};
+pub use self::options::{AdjustOptions, RoughPose};
 use self::outcome::End;
 use self::positions::Aside;
 use self::screening::Screened;
 use self::snooping::Snooped;
+pub use self::survey::{GroundPoint, Role};
 use crate::bundle::{
-    BundleCamera, BundleFrame, BundlePoint, Deviations, FROM_NEAR, Loss, Observation, Options, Problem, Summary,
-    Treatment, Trust, solve,
+    BundleCamera, BundleFrame, BundlePoint, Deviations, FROM_NEAR, Loss, Observation, Options, Problem, Treatment,
+    Trust, solve,
 };
-use crate::camera::{Camera, Parameter};
 use crate::error::{Error, Result};
 use crate::intersect::intersect_seen;
-use crate::pose::Pose;
 use crate::read::Reconstruction;
-
-/// Whether a point takes part.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
-    Control,
-    Check,
-}
-
-/// A surveyed point in the world's frame, with where it was seen.
-#[derive(Clone, Debug)]
-pub struct GroundPoint {
-    pub name: String,
-    pub xyz: Vector3<f64>,
-    /// 1σ, metres.
-    pub sigma: Vector3<f64>,
-    pub role: Role,
-    /// Photograph and pixel.
-    pub seen: Vec<(usize, [f64; 2])>,
-}
-
-/// What becomes of the interior orientation, by parameter; what is not named is held.
-#[derive(Clone, Debug)]
-pub struct AdjustOptions {
-    /// 1σ of GCPs in the image.
-    pub sigma_image_px: f64,
-    /// 1σ of ties in the image; `None` takes it from their residuals.
-    pub sigma_tie_px: Option<f64>,
-    /// What their residuals say of ties is no less than this: windows of two frames that are laid upon each other agree
-    /// more closely than they show the same ground.
-    pub least_sigma_tie_px: f64,
-    /// Parameters, with a standard deviation about the value given, or free.
-    pub interior: Vec<(Parameter, Option<f64>)>,
-    /// Known poses in the world's frame: position with σ (metres), and direction with σ (radians).
-    pub rough: Vec<Option<RoughPose>>,
-    /// Normalised residuals beyond this name a blunder.
-    pub critical: f64,
-}
-
-/// A pose known roughly.
-#[derive(Clone, Copy, Debug)]
-pub struct RoughPose {
-    pub pose: Pose,
-    pub sigma_m: Vector3<f64>,
-    pub sigma_rad: f64,
-}
-
-impl Default for AdjustOptions {
-    fn default() -> Self {
-        AdjustOptions {
-            sigma_image_px: 1.0,
-            sigma_tie_px: None,
-            least_sigma_tie_px: 0.02,
-            interior: vec![(Parameter::F, None), (Parameter::K1, None)],
-            rough: Vec::new(),
-            critical: 4.0,
-        }
-    }
-}
-
-/// A gross error: the point, the photograph when it is of one image, and by how much.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Blunder {
-    pub gcp: String,
-    /// Photograph, or `None` when the point on the ground is wrong.
-    pub photograph: Option<usize>,
-    /// Estimated error: pixels (x, y) or metres (x, y, z); nothing of an image point that its camera looks away from.
-    pub by: Vec<f64>,
-    /// Its size in units of its own standard deviation.
-    pub test: f64,
-}
-
-#[derive(Clone, Debug)]
-pub struct AdjustedPoint {
-    pub name: String,
-    pub role: Role,
-    pub xyz: Vector3<f64>,
-    /// Adjusted (or, of check points, intersected) − surveyed.
-    pub residual: Option<Vector3<f64>>,
-    pub covariance: Option<Matrix3<f64>>,
-    /// Photograph, residual in pixels (predicted − measured).
-    pub image: Vec<(usize, [f64; 2])>,
-}
-
-#[derive(Clone, Debug)]
-pub struct AdjustedCamera {
-    pub photograph: usize,
-    pub pose: Pose,
-    pub covariance: Option<SMatrix<f64, 6, 6>>,
-    /// Of its ties, √(mean of squared distances).
-    pub rms_px: f64,
-    pub ties: usize,
-}
-
-/// The result.
-#[derive(Clone, Debug)]
-pub struct Adjustment {
-    pub cameras: Vec<Camera>,
-    pub interior_sigmas: Vec<Vec<(Parameter, f64)>>,
-    pub photographs: Vec<AdjustedCamera>,
-    pub points: Vec<AdjustedPoint>,
-    pub blunders: Vec<Blunder>,
-    pub tie_rms_px: f64,
-    pub tie_mean_px: f64,
-    pub sigma_tie_px: f64,
-    pub ties: usize,
-    pub dropped_ties: usize,
-    pub summary: Summary,
-    /// The adjusted ties in the world's frame.
-    pub model: Reconstruction,
-    pub notes: Vec<String>,
-}
 
 /// What the worst of the GCPs hid shows in the next round.
 const SCREENINGS: usize = 5;
@@ -417,7 +310,10 @@ fn estimate_sigma(problem: &Problem, ties: usize, counts: impl Fn(usize) -> bool
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::Camera;
+    use crate::pose::Pose;
     use autoref_synth::rng::Rng;
+    use nalgebra::Matrix3;
 
     /// Ties of two and of three rays, whose residuals are such as errors of 0.1 px across and of `along_px` along the
     /// line of the frames leave.

@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 
-use super::{GroundPoint, Role};
+use super::survey::{GroundPoint, Role};
 use crate::intersect::intersect_seen;
 use crate::read::{Reconstruction, TiePoint};
 

@@ -2,7 +2,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{GroundPoint, Role, RoughPose, astray, reason};
+use super::options::RoughPose;
+use super::survey::{GroundPoint, Role};
+use super::{astray, reason};
 use crate::error::{Error, Result};
 use crate::intersect::{datum, intersect_seen};
 use crate::line;

@@ -2,7 +2,8 @@
 
 use nalgebra::{Matrix2x3, Matrix3, Vector3};
 
-use super::{AdjustedPoint, GroundPoint, Role};
+use super::adjusted::AdjustedPoint;
+use super::survey::{GroundPoint, Role};
 use crate::read::Reconstruction;
 
 /// So many times as far as is stated is no chance, of so many points and more.

@@ -2,8 +2,9 @@
 
 use nalgebra::Vector3;
 
+use super::adjusted::{AdjustedCamera, AdjustedPoint, Adjustment, Blunder};
 use super::snooping::is_held;
-use super::{AdjustedCamera, AdjustedPoint, Adjustment, Blunder, GroundPoint, Role};
+use super::survey::{GroundPoint, Role};
 use crate::bundle::{Deviations, Problem, Summary};
 use crate::intersect::intersect_seen;
 use crate::read::{Reconstruction, TiePoint};

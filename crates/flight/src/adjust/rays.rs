@@ -5,10 +5,11 @@
 
 use nalgebra::Vector3;
 
-use super::screening::MEET;
 use crate::bundle::{Observation, Problem};
 use crate::intersect::intersect;
 
+/// Times the spread within which rays of one point meet.
+pub(super) const MEET: f64 = 4.0;
 /// Pairs of rays that are tried for one point; of more, some.
 const MOST_PAIRS: usize = 300;
 /// The median length of a normal 2-vector, in σ.

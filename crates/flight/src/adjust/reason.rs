@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::GroundPoint;
+use super::survey::GroundPoint;
 use crate::error::Error;
 use crate::intersect::{datum, intersect_seen};
 use crate::read::Reconstruction;

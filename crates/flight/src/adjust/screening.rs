@@ -3,7 +3,9 @@
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
-use super::{Blunder, GroundPoint, rays};
+use super::adjusted::Blunder;
+use super::rays::{self, MEET};
+use super::survey::GroundPoint;
 use crate::bundle::{Factored, Observation, Problem};
 use crate::intersect::intersect;
 use crate::pose::Pose;
@@ -23,8 +25,6 @@ pub(super) struct Screened {
 /// it is, bent.
 pub(super) const GROSS: f64 = 8.0;
 pub(super) const MONSTROUS: f64 = 50.0;
-/// Times the spread within which rays of one point meet.
-pub(super) const MEET: f64 = 4.0;
 /// Of more of the measurements nothing says that it is they that are wrong.
 const MOST: f64 = 0.4;
 /// GCPs that fix a block.

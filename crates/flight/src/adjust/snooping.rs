@@ -2,9 +2,11 @@
 
 use nalgebra::{DMatrix, DVector, SMatrix, SVector, Vector2, Vector3};
 
+use super::adjusted::{AdjustedPoint, Blunder};
 use super::astray::Astray;
+use super::options::AdjustOptions;
 use super::screening::{GROSS, Screened};
-use super::{AdjustOptions, AdjustedPoint, Blunder, GroundPoint, Role};
+use super::survey::{GroundPoint, Role};
 use crate::bundle::{
     BundleFrame, Deviations, Ended, FROM_NEAR, Factored, Loss, Moved, Observation, Options, Problem, Summary,
     Treatment, factor, solve,
