@@ -1,7 +1,66 @@
 //! Levenberg and Marquardt's iteration: damped steps down to a minimum.
 
 use super::linear::Curvature;
-use super::{Ended, Options, Summary};
+use super::problem::{Loss, Problem};
+
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    pub loss: Loss,
+    pub most_iterations: usize,
+    /// Ends when a step lowers the cost by less than this part of it.
+    pub least_gain: f64,
+    /// Ends when a focal length leaves these bounds, pixels.
+    pub focal_px: [f64; 2],
+    /// How strongly the first step is damped: [`FROM_AFAR`] or [`FROM_NEAR`].
+    pub damping: f64,
+}
+
+/// Damping, as a share of the diagonal, of a start that may be far from the minimum.
+pub const FROM_AFAR: f64 = 1e-4;
+
+/// Of one that comes from a minimum of nearly the same problem: it must not hold the slow bends of long lines.
+pub const FROM_NEAR: f64 = 1e-10;
+
+/// No bounds of focal lengths.
+pub const ANY_FOCAL: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
+
+impl Options {
+    /// Whether a focal length is out of bounds.
+    pub(super) fn lets_go_of(&self, problem: &Problem) -> bool {
+        let [low, high] = self.focal_px;
+        !problem.cameras.iter().all(|c| (low..=high).contains(&c.camera.f_px()))
+    }
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        let (loss, focal_px, damping) = (Loss::Huber(3.0), ANY_FOCAL, FROM_AFAR);
+        Options { loss, most_iterations: 100, least_gain: 1e-10, focal_px, damping }
+    }
+}
+
+/// Why the iteration ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// The cost falls no more.
+    Converged,
+    /// The limit of iterations was reached.
+    OutOfIterations,
+    /// No damping finds a lower cost.
+    Stuck,
+    /// A focal length left its bounds.
+    Left,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct Summary {
+    pub first_cost: f64,
+    pub cost: f64,
+    pub iterations: usize,
+    pub ended: Ended,
+    /// By which part of itself the cost fell in the last step.
+    pub last_fall: f64,
+}
 
 /// Share of the foretold fall of the cost above which the linear model is believed.
 const FORETOLD: f64 = 0.75;
@@ -158,7 +217,6 @@ pub(super) fn descend<D: Descent>(place: &mut D, options: &Options) -> Summary {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bundle::{ANY_FOCAL, FROM_NEAR, Loss};
 
     /// √(1 + x²): what the curvature says leads three times too far and more from places beyond 1, the weights creep.
     struct Hollow {

@@ -21,8 +21,8 @@ use nalgebra::{DVector, Matrix3, SMatrix, SVector};
 use super::linear::{Curvature, linear};
 use super::normal::{Factored, Reduced};
 use super::other_lens::OtherLens;
+use super::problem::{BundlePoint, Loss, Problem};
 use super::skyline::Skyline;
-use super::{BundlePoint, Loss, Problem};
 use crate::camera::Parameter;
 
 /// What a lens with more terms would change.

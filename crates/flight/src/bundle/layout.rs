@@ -1,6 +1,6 @@
 //! Where each unknown stands in the reduced system.
 
-use super::Problem;
+use super::problem::Problem;
 use super::skyline::order;
 use crate::camera::Parameter;
 

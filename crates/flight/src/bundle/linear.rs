@@ -3,8 +3,8 @@
 use nalgebra::{Matrix2, Matrix2x3, SMatrix, Vector2};
 
 use super::layout::{Layout, MOST_INTERIOR};
+use super::problem::{Loss, Observation, Problem, Trust};
 use super::small::times;
-use super::{Loss, Observation, Problem, Trust};
 
 type Matrix2x6 = SMatrix<f64, 2, 6>;
 

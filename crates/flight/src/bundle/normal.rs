@@ -4,9 +4,9 @@ use nalgebra::{DVector, Matrix2, Matrix3, SMatrix, Vector3};
 
 use super::layout::Layout;
 use super::linear::{Curvature, Linear, linear};
+use super::problem::{Loss, Observation, Problem, Treatment, Trust};
 use super::skyline::Skyline;
 use super::small::{across, times};
-use super::{Loss, Observation, Problem, Treatment, Trust};
 use crate::camera::Parameter;
 use crate::pose::turn;
 

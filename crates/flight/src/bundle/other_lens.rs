@@ -5,7 +5,7 @@ use nalgebra::{SVector, Vector3};
 use super::layout::{Layout, MOST_INTERIOR};
 use super::linear::Curvature;
 use super::normal::{DETERMINED, Reduced, Step};
-use super::{Loss, Problem, Treatment};
+use super::problem::{Loss, Problem, Treatment};
 use crate::camera::Parameter;
 
 /// Terms of the lens that may be missing.

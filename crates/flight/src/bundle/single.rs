@@ -3,13 +3,12 @@
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
 
-use super::descent::{Descent, Solved, Way, descend};
+use super::descent::{Descent, Options, Solved, Summary, Way, descend};
 use super::layout::Layout;
 use super::linear::{Curvature, linear};
 use super::normal::SOLVABLE;
-use super::small::{Lower, across, times};
-use super::solve::tidy;
-use super::{Options, Problem, Summary, Treatment};
+use super::problem::{Problem, Treatment};
+use super::small::{Lower, across, tidy, times};
 use crate::camera::Parameter;
 
 /// A turn, a place and one interior parameter.

@@ -1,6 +1,6 @@
 //! Products and factors of small matrices, spelled out: the compiler unrolls them, and nothing is copied.
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Matrix3, SMatrix, SVector};
 
 /// a b.
 #[inline(always)]
@@ -96,6 +96,11 @@ impl<const N: usize> Lower<N> {
         }
         out
     }
+}
+
+/// One step of Newton towards the nearest rotation: rounding must not add up over iterations.
+pub(super) fn tidy(r: Matrix3<f64>) -> Matrix3<f64> {
+    times(&r, &(Matrix3::identity() * 3.0 - times(&r.transpose(), &r))) * 0.5
 }
 
 #[cfg(test)]

@@ -2,72 +2,14 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-use super::descent::{Descent, Solved, Way, descend};
+use super::descent::{Descent, Options, Solved, Summary, Way, descend};
 use super::layout::{Layout, MOST_INTERIOR};
 use super::linear::Curvature;
 use super::normal::{Factored, Reduced, SOLVABLE, Step};
+use super::problem::{BundleCamera, BundleFrame, BundlePoint, Loss, Problem};
 use super::single::{is_single, solve_single};
-use super::small::times;
-use super::{BundleCamera, BundleFrame, BundlePoint, Loss, Problem};
+use super::small::tidy;
 use crate::error::{Error, Result};
-
-#[derive(Clone, Copy, Debug)]
-pub struct Options {
-    pub loss: Loss,
-    pub most_iterations: usize,
-    /// Ends when a step lowers the cost by less than this part of it.
-    pub least_gain: f64,
-    /// Ends when a focal length leaves these bounds, pixels.
-    pub focal_px: [f64; 2],
-    /// How strongly the first step is damped: [`FROM_AFAR`] or [`FROM_NEAR`].
-    pub damping: f64,
-}
-
-/// Damping, as a share of the diagonal, of a start that may be far from the minimum.
-pub const FROM_AFAR: f64 = 1e-4;
-/// Of one that comes from a minimum of nearly the same problem: it must not hold the slow bends of long lines.
-pub const FROM_NEAR: f64 = 1e-10;
-
-/// No bounds of focal lengths.
-pub const ANY_FOCAL: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
-
-impl Options {
-    /// Whether a focal length is out of bounds.
-    pub(super) fn lets_go_of(&self, problem: &Problem) -> bool {
-        let [low, high] = self.focal_px;
-        !problem.cameras.iter().all(|c| (low..=high).contains(&c.camera.f_px()))
-    }
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        let (loss, focal_px, damping) = (Loss::Huber(3.0), ANY_FOCAL, FROM_AFAR);
-        Options { loss, most_iterations: 100, least_gain: 1e-10, focal_px, damping }
-    }
-}
-
-/// Why the iteration ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ended {
-    /// The cost falls no more.
-    Converged,
-    /// The limit of iterations was reached.
-    OutOfIterations,
-    /// No damping finds a lower cost.
-    Stuck,
-    /// A focal length left its bounds.
-    Left,
-}
-
-#[derive(Clone, Copy, Debug)]
-pub struct Summary {
-    pub first_cost: f64,
-    pub cost: f64,
-    pub iterations: usize,
-    pub ended: Ended,
-    /// By which part of itself the cost fell in the last step.
-    pub last_fall: f64,
-}
 
 /// Adjusts the problem in place.
 ///
@@ -231,11 +173,6 @@ impl Common {
         let left = step - self.shift - self.turn.cross(&r) - r * self.growth;
         self.middle + self.shift + self.rotation * r * self.growth.exp() + left
     }
-}
-
-/// One step of Newton towards the nearest rotation: rounding must not add up over iterations.
-pub(super) fn tidy(r: Matrix3<f64>) -> Matrix3<f64> {
-    times(&r, &(Matrix3::identity() * 3.0 - times(&r.transpose(), &r))) * 0.5
 }
 
 fn check(problem: &Problem) -> Result<()> {
