@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
 
-use super::{Photograph, Reconstruction, TiePoint};
+use super::model::{Photograph, Reconstruction, TiePoint};
 use crate::camera::{Camera, Parameter, Projection};
 use crate::error::{Error, Result, read_bytes, read_text};
 use crate::pose::Pose;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::FARTHEST;
+use super::model::FARTHEST;
 use super::tables::decimal;
 use super::titles::{IMAGES, PIXEL_X, PIXEL_Y, column_at, fields, is_geographic, no_more_cells, separator, titles_of};
 use crate::error::{Error, Result, read_text};

@@ -13,7 +13,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use self::calibration::Calibration;
 use super::affinity::Affinity;
-use super::{Photograph, Reconstruction};
+use super::model::{Photograph, Reconstruction};
 use crate::camera::Camera;
 use crate::error::{Error, Result, read_text};
 use crate::pose::Pose;

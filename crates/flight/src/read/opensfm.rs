@@ -9,7 +9,9 @@ use std::path::Path;
 use nalgebra::{Rotation3, Vector3};
 use serde_json::Value;
 
-use super::{Photograph, Reconstruction, TiePoint, own};
+use super::json::{number, triple};
+use super::model::{Photograph, Reconstruction, TiePoint};
+use super::own;
 use crate::camera::{Camera, Parameter, Projection};
 use crate::error::{Error, Result, read_text};
 use crate::pose::Pose;
@@ -17,18 +19,6 @@ use crate::pose::Pose;
 fn json(path: &Path) -> Result<Value> {
     serde_json::from_str(&read_text(path)?)
         .map_err(|e| Error::format(path, format!("row {}", e.line()), format!("the JSON is broken: {e}")))
-}
-
-pub(super) fn number(path: &Path, of: &Value, key: &str, place: &str) -> Result<f64> {
-    of.get(key).and_then(Value::as_f64).ok_or_else(|| Error::format(path, place, format!("`{key}` is no number")))
-}
-
-pub(super) fn triple(path: &Path, of: &Value, key: &str, place: &str) -> Result<[f64; 3]> {
-    let list = of.get(key).and_then(Value::as_array);
-    let values: Option<Vec<f64>> = list.and_then(|l| l.iter().map(Value::as_f64).collect());
-    values
-        .and_then(|v| v.try_into().ok())
-        .ok_or_else(|| Error::format(path, place, format!("`{key}`: 3 numbers expected")))
 }
 
 /// Reads a reconstruction; OpenSfM's tracks are taken from `tracks.csv` beside it (or from the name with `tracks` for

@@ -8,8 +8,8 @@ use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::opensfm::{number, triple};
-use super::{Photograph, Reconstruction};
+use super::json::{number, triple};
+use super::model::{Photograph, Reconstruction};
 use crate::camera::{Camera, PARAMETERS, Parameter, Projection, SizeOf};
 use crate::error::{Error, Result};
 use crate::plane::{HIGHEST_POWER, PlaneMap};

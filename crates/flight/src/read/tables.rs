@@ -5,7 +5,7 @@ use std::path::Path;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::FARTHEST;
+use super::model::FARTHEST;
 use super::titles::{
     ANGLES, COLUMNS, Heading, NAMES, degrees_of, fields, is_geographic, named_twice, names_angles, no_more_cells,
     separator,
