@@ -1,11 +1,13 @@
 //! Maps of the image plane onto itself, in pixels: what a camera has beside the terms of its lens.
 
 mod fisheye;
+mod linear;
 mod polynomial;
 
 use serde::{Deserialize, Serialize};
 
 pub use fisheye::{Fisheye, Law};
+use linear::{Linear, inverse};
 pub use polynomial::{HIGHEST_POWER, Polynomial, Term};
 
 use crate::dual::Real;
@@ -20,9 +22,6 @@ pub enum PlaneMap {
     Undo(Polynomial),
     Fisheye(Fisheye),
 }
-
-/// A place and its derivatives: `[row][column]`.
-pub(crate) type Linear = ([f64; 2], [[f64; 2]; 2]);
 
 impl PlaneMap {
     /// Where a place goes. What the map does not reach is no number.
@@ -77,13 +76,6 @@ impl PlaneMap {
             }
         }
     }
-}
-
-/// `None` where the derivatives are those of a fold.
-pub(crate) fn inverse([[a, b], [c, d]]: [[f64; 2]; 2]) -> Option<[[f64; 2]; 2]> {
-    let determinant = a * d - b * c;
-    let of = [[d / determinant, -b / determinant], [-c / determinant, a / determinant]];
-    of.iter().flatten().all(|v| v.is_finite()).then_some(of)
 }
 
 #[cfg(test)]

@@ -6,92 +6,20 @@
 
 mod choice;
 mod refine;
+mod resection;
+mod seen;
 mod testing;
 mod three_points;
 
-use nalgebra::{SMatrix, Vector3};
+use nalgebra::Vector3;
 
+pub use self::resection::{Alternative, Resection};
+pub use self::seen::{Focal, ResectOptions, Seen};
 pub use self::three_points::three_points;
 use crate::camera::Camera;
 use crate::error::{Error, Result};
 use crate::line;
-use crate::pose::Pose;
 use autoref_raster::words::counted;
-
-/// A point with its pixel.
-#[derive(Clone, Debug)]
-pub struct Seen {
-    pub name: String,
-    pub xyz: Vector3<f64>,
-    /// 1σ on the ground, metres; 0 of what is exact.
-    pub sigma_m: Vector3<f64>,
-    pub pixel: [f64; 2],
-}
-
-/// What is known besides the points.
-#[derive(Clone, Debug)]
-pub struct ResectOptions {
-    /// 1σ of the points in the image.
-    pub sigma_px: f64,
-    /// Known position with standard deviations.
-    pub position: Option<(Vector3<f64>, Vector3<f64>)>,
-    /// Whether the focal length is sought too.
-    pub focal: Focal,
-    /// Residuals beyond this many of their own standard deviations name a blunder.
-    pub critical: f64,
-}
-
-/// Whether the focal length is known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Focal {
-    Known,
-    Sought,
-}
-
-impl Focal {
-    /// Points that fix a pose, but for the few others that fit as well.
-    fn fewest(self) -> usize {
-        match self {
-            Focal::Known => 3,
-            Focal::Sought => 4,
-        }
-    }
-}
-
-impl Default for ResectOptions {
-    fn default() -> Self {
-        ResectOptions { sigma_px: 1.0, position: None, focal: Focal::Known, critical: 4.0 }
-    }
-}
-
-/// The pose with its accuracy.
-#[derive(Clone, Debug)]
-pub struct Resection {
-    pub camera: Camera,
-    pub pose: Pose,
-    /// Turn (radians) and centre; `None` without redundancy and prior knowledge.
-    pub covariance: Option<SMatrix<f64, 6, 6>>,
-    /// Predicted − measured, pixels, of every point in order; `None` behind the camera.
-    pub residuals_px: Vec<Option<[f64; 2]>>,
-    /// Indices of points that were taken out as blunders.
-    pub blunders: Vec<usize>,
-    /// Of the points kept: √(mean of the squares of the residuals in x and in y).
-    pub rms_px: f64,
-    /// √(v'Pv / redundancy) with the σ that were stated; `None` without redundancy.
-    pub sigma0: Option<f64>,
-    /// How many times as large the deviations are as those that follow from what was stated: √(v'Pv / redundancy) where
-    /// it is too large for chance, else 1. It is in `covariance`.
-    pub widened: f64,
-    /// Other poses that the points do not rule out: three allow up to four, more of them fewer.
-    pub alternatives: Vec<Alternative>,
-}
-
-/// Another pose, with its own focal length where that is sought.
-#[derive(Clone, Debug)]
-pub struct Alternative {
-    pub camera: Camera,
-    pub pose: Pose,
-}
 
 /// Whether nothing but the errors of the points lies beside one line, or one place. By their σ on the ground, and by
 /// that in the image as large as the ground is there.

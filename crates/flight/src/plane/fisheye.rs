@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Linear;
+use super::linear::Linear;
 
 /// How the angle θ off the axis becomes a distance from the centre, in units of the scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Linear, inverse};
+use super::linear::{Linear, inverse};
 
 /// The highest power of x or y that is held: a radial distortion to r⁴¹.
 pub const HIGHEST_POWER: usize = 41;

@@ -7,15 +7,13 @@
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
-use super::refine::{Approached, Minimum, approached, bounds, judging, refine};
+use super::refine::{Approached, FOCAL_SIDES, Minimum, approached, bounds, judging, refine};
+use super::resection::{Alternative, Resection};
+use super::seen::{Focal, ResectOptions, Seen};
 use super::three_points::starts;
-use super::{Alternative, Focal, ResectOptions, Resection, Seen};
 use crate::bundle::Ended;
 use crate::camera::{Camera, Parameter};
 use crate::pose::{Pose, turn};
-
-/// Focal lengths of cameras, in sides of their images: beyond, an object far off would do as well.
-pub(super) const FOCAL_SIDES: std::ops::Range<f64> = 0.15..12.0;
 
 /// Starts that are refined, beside the best one of each focal length, of few points and of many.
 const BEST_STARTS: usize = 24;

@@ -2,9 +2,9 @@
 
 use nalgebra::Vector3;
 
-use super::choice::FOCAL_SIDES;
+use super::resection::Resection;
+use super::seen::{Focal, ResectOptions, Seen};
 use super::testing::{excess, far_off, least_share, off_by, worst_points};
-use super::{Focal, ResectOptions, Resection, Seen};
 use crate::bundle::{
     ANY_FOCAL, BundleCamera, BundleFrame, BundlePoint, Ended, Factored, Loss, Observation, Options, Problem, Treatment,
     Trust, factor, solve,
@@ -12,6 +12,9 @@ use crate::bundle::{
 use crate::camera::{Camera, Parameter};
 use crate::error::{Error, Result};
 use crate::pose::Pose;
+
+/// Focal lengths of cameras, in sides of their images: beyond, an object far off would do as well.
+pub(super) const FOCAL_SIDES: std::ops::Range<f64> = 0.15..12.0;
 
 /// A minimum, and what speaks against it: χ² of its points in the image and on the ground, and of a known position.
 #[derive(Clone, Debug)]

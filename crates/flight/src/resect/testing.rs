@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::{Focal, ResectOptions, Seen};
+use super::seen::{Focal, ResectOptions, Seen};
 use crate::bundle::{Factored, Problem};
 use crate::camera::Camera;
 use crate::pose::Pose;

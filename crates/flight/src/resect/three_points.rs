@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix4, Vector3};
 
-use super::{ResectOptions, Seen};
+use super::seen::{ResectOptions, Seen};
 use crate::camera::Camera;
 use crate::pose::{Pose, Similarity};
 
