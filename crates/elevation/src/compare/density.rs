@@ -3,8 +3,8 @@
 use crate::error::Result;
 use crate::window::Window;
 
-use super::Buffers;
 use super::observed::Observed;
+use super::scan::Buffers;
 
 /// Cells that are looked at, at most.
 const LOOKED_AT: usize = 250;

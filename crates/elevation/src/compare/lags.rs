@@ -5,8 +5,9 @@
 //! are not taken for a correlation, less the mean product of the cells of a sample; of windows far from each other of
 //! all their cells, which is the product of the means.
 
+use super::observed::Observed;
+use super::scan::Buffers;
 use super::variogram::{Bin, LagClasses};
-use super::{Buffers, Observed};
 use crate::error::Result;
 use crate::stream::{self, Means};
 use crate::window::{TileGrid, Window};

@@ -7,7 +7,7 @@ use std::path::Path;
 use crate::error::{Error, Result};
 use autoref_raster::markup::escaped;
 
-use super::{Statistics, Summary};
+use super::summary::{Statistics, Summary};
 
 /// Writes `report.html`.
 ///

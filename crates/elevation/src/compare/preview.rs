@@ -3,7 +3,7 @@
 use base64::prelude::{BASE64_STANDARD as BASE64, Engine as _};
 use serde_json::json;
 
-use super::Scan;
+use super::scan::Scan;
 
 /// Cells of the map's longer side at most.
 const LONGEST_PX: u64 = 700;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::error::{Error, Result};
 
-use super::{PERCENTS, Summary};
+use super::summary::{PERCENTS, Summary};
 
 /// Writes `statistics.csv`, `volumes.csv`, `variogram.csv` and `summary.json`.
 pub(super) fn write_tables(folder: &Path, summary: &Summary) -> Result<()> {

@@ -76,6 +76,7 @@ pub fn palette_of(band: &RasterBand<'_>) -> Vec<[i16; 4]> {
 }
 
 /// Least and largest number that cells of a kind hold.
+#[inline]
 pub fn range(kind: GdalDataType) -> (f64, f64) {
     match kind {
         GdalDataType::UInt8 => (0.0, 255.0),

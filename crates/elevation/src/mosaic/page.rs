@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::grid::Grid;
 use autoref_raster::markup::escaped;
 
-use super::{Balance, DifferenceMap, Overlap};
+use super::balance::{Balance, DifferenceMap, Overlap};
 use autoref_raster::words::counted;
 
 /// Rows of a table at most: the largest differences, or the first sources.

@@ -9,7 +9,7 @@
 use super::super::graph::Normal;
 use super::blocks::Block;
 use super::relation::{Evidence, Pair, Relation};
-use super::{Balancing, Frame, TERMS, dot};
+use super::surface::{Balancing, Frame, TERMS, dot};
 use crate::stream::each;
 use autoref_raster::sets::Sets;
 

@@ -11,6 +11,7 @@ mod blocks;
 mod notes;
 mod relation;
 mod start;
+mod surface;
 
 use std::path::Path;
 
@@ -21,42 +22,12 @@ use crate::grid::Grid;
 use crate::window::Window;
 
 use super::form::BandForm;
-use super::source::Source;
 use adjust::{Band, Ties};
 use blocks::{BLOCK_PX, Block};
+use surface::{Frame, TERMS, dot};
 
 pub use blocks::Reading;
-
-/// The degree of the surfaces beside gains and offsets.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub enum Surface {
-    /// Gains and offsets alone.
-    None,
-    /// A plane.
-    Linear,
-    /// A polynomial of the second degree.
-    #[default]
-    Quadratic,
-}
-
-impl Surface {
-    /// Numbers that a surface has.
-    fn terms(self) -> usize {
-        match self {
-            Surface::None => 0,
-            Surface::Linear => 2,
-            Surface::Quadratic => 5,
-        }
-    }
-}
-
-/// How brightness is evened out.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Balancing {
-    pub surface: Surface,
-    /// The number, from 0 on, of a source that is left as it is.
-    pub reference: Option<usize>,
-}
+pub use surface::{Balancing, Surface};
 
 /// Corrections: balanced = gain · value + offset + surface, where the surface is a·u + b·v + c·(u² − ⅓) + d·u·v +
 /// e·(v² − ⅓), and u and v run from −1 to 1 over the source, eastwards and southwards.
@@ -79,8 +50,6 @@ pub struct Balance {
     #[serde(skip)]
     frames: Vec<Frame>,
 }
-
-const TERMS: usize = 5;
 
 /// Mean sizes of differences, over all bands and pairs, in squares of the mosaic; NaN where there is no overlap.
 #[derive(Clone, Debug, Default)]
@@ -105,37 +74,6 @@ pub struct Overlap {
     /// Root mean square of the differences of block means.
     pub rms_before: f64,
     pub rms_after: f64,
-}
-
-/// Where a source lies, in cells of the mosaic: its centre, and half its sides.
-#[derive(Clone, Copy, Debug)]
-struct Frame {
-    centre: (f64, f64),
-    half: (f64, f64),
-}
-
-impl Frame {
-    fn of(source: &Source, mosaic: &Grid) -> Frame {
-        let centre = source.grid.centre();
-        let half = |size: u64, step: f64, own: f64| (size as f64 * step / own / 2.0).abs().max(0.5);
-        Frame {
-            centre: ((centre.0 - mosaic.x0) / mosaic.step_x, (centre.1 - mosaic.y0) / mosaic.step_y),
-            half: (
-                half(source.grid.width, source.grid.step_x, mosaic.step_x),
-                half(source.grid.height, source.grid.step_y, mosaic.step_y),
-            ),
-        }
-    }
-
-    /// What the coefficients of a surface are multiplied with.
-    fn basis(&self, (x, y): (f64, f64)) -> [f64; TERMS] {
-        let (u, v) = ((x - self.centre.0) / self.half.0, (y - self.centre.1) / self.half.1);
-        [u, v, u * u - 1.0 / 3.0, u * v, v * v - 1.0 / 3.0]
-    }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 impl Balance {

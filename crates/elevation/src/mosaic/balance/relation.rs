@@ -10,7 +10,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::blocks::{BLOCK_PX, Block};
 use super::start;
-use super::{Frame, TERMS, dot};
+use super::surface::{Frame, TERMS, dot};
 
 /// Blocks of fewer tell no contrast.
 const FEWEST_FOR_CONTRAST: usize = 8;
