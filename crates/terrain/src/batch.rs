@@ -1,4 +1,4 @@
-//! Frames one after another: what is taught once, a mask and a report for each, and what is done already is left alone.
+//! Frames one after another: a mask and a report for each, and what is done already is left alone.
 
 use std::path::Path;
 
