@@ -395,7 +395,10 @@ fn beside(
     /// A candidate of clutter may lie so near with this probability at most.
     const CHANCE: f64 = 0.01;
     const FARTHEST_PX: f64 = 64.0;
-    let reach = (CHANCE / (std::f64::consts::PI * density(candidates))).sqrt().min(FARTHEST_PX);
+    // Marks of other points are no clutter.
+    let clutter =
+        density(candidates) * candidates.len().saturating_sub(taken.len()).max(1) as f64 / candidates.len() as f64;
+    let reach = (CHANCE / (std::f64::consts::PI * clutter)).sqrt().min(FARTHEST_PX);
     let apart = |c: &Candidate, p: PixelPoint| (c.centre.x - p.x).hypot(c.centre.y - p.y);
     let (distance, candidate) = (0..candidates.len())
         .filter(|i| !taken.contains(i))

@@ -434,3 +434,17 @@ fn two_points_of_one_name_are_refused() {
     assert_eq!(refused.status.code(), Some(2), "{said}");
     assert!(said.contains("row 4: a second point is called `A`; give each its own name"), "{said}");
 }
+
+/// Twelve marks and no clutter: a mark that is no other point's is the check point's, however far the survey is off.
+#[test]
+fn a_check_point_that_was_surveyed_wrong_counts_in_the_test() {
+    let drawn = std::cell::Cell::new(0);
+    let (line, result) = verdict_by(&["--check", "P3,P5,P7"], |x, y| {
+        drawn.set(drawn.get() + 1);
+        [0.1 * (x * 0.37 + y).sin() + if drawn.get() == 4 { 45.0 } else { 0.0 }, 0.0]
+    });
+    let rows = result["check_points"].as_array().expect("check points");
+    let off = rows.iter().find(|row| row["gcp"] == "P3").unwrap_or_else(|| panic!("P3 is in no figure: {line}"));
+    assert!((off["residual_px"].as_f64().expect("a number") - 45.0).abs() < 1.0, "{off}");
+    assert!(result["accuracy"]["figures"]["horizontal"]["rmse_h1_m"].as_f64().expect("a number") > 1.0, "{line}");
+}

@@ -104,7 +104,7 @@ fn untested(solved: &SolvedRun, list: &GcpList) -> Option<String> {
     let all = names.len() + solved.check_points.len();
     (!names.is_empty()).then(|| {
         format!(
-            "{} of {all} check points in the image are not in the figures, since no mark of theirs was found: {}",
+            "{} of {all} check points in the image are not in the figures, since no mark was found where theirs must be: {}",
             names.len(),
             names.join(", ")
         )
