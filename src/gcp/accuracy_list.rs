@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use super::csv_list::refuse_more_cells;
-use super::text::{self, SEPARATORS, Separator};
+use super::text::{self, SEPARATORS, Separator, refuse_more_cells};
 use super::titles::{NAMES, find, tidy};
 use super::units::Unit;
 use crate::gcp::Gcp;

@@ -3,11 +3,10 @@
 use std::path::Path;
 
 use crate::gcp::angle::{Letter, angle, letter};
-use crate::gcp::csv_list::Row;
 use crate::gcp::marks::{Cell, Marks};
 use crate::gcp::packed::{self, Packed};
 use crate::gcp::raw::{ColumnOrder, RawList, RawPoint, Seen};
-use crate::gcp::text;
+use crate::gcp::text::{self, Row};
 use crate::gcp::titles::{
     Axis, CHECKS, EASTINGS, ENABLED, HEIGHTS, LATITUDES, LETTER_PAIRS, LONGITUDES, NAMES, NORTHINGS, ROLES,
     SHORT_HEIGHTS, SHORT_SIGMA_HEIGHTS, SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS, directed, find,

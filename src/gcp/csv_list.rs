@@ -8,17 +8,12 @@
 use std::path::Path;
 
 use crate::gcp::angle::angle;
-use crate::gcp::columns::{Columns, columns};
 use crate::gcp::headerless::Labels;
-use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
-use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
+use crate::gcp::raw::{ColumnOrder, RawList};
+use crate::gcp::text::{self, Line, SEPARATORS, refuse_open_quote, split};
 use crate::gcp::titles::{EASTINGS, LONGITUDES, XS, find, tidy};
-use crate::gcp::{headerless, remarks, statistics, wkt};
-use autoref_raster::crs::Crs;
+use crate::gcp::{headerless, titled, wkt};
 use autoref_raster::error::{Error, Result};
-
-/// A row of a table, cut.
-pub(super) type Row<'a> = (&'a Line<'a>, Vec<String>);
 
 pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
     parse_with(path, lines, Labels::Shown)
@@ -41,33 +36,11 @@ fn parse_with(path: &Path, lines: &[Line<'_>], labels: Labels) -> Result<RawList
             "the file holds no points; a header and one line for each are expected",
         ));
     };
-    let header = header(lines);
-    if header.is_none()
-        && let Some(list) = wkt::parse(path, lines)
-    {
-        return list;
-    }
-    match header {
-        Some((at, separator, columns)) => with_header(path, lines, at, separator, columns),
+    match titled::parse(path, lines).or_else(|| wkt::parse(path, lines)) {
+        Some(list) => list,
         None if has_numbers(first.text) => headerless::parse(path, lines, labels),
         None => refuse_open_quote(path, first).and(Err(no_header(path, first))),
     }
-}
-
-/// Whether a line names both coordinates.
-pub(super) fn is_header(line: Line<'_>) -> bool {
-    header(&[line]).is_some()
-}
-
-/// The line among the first ones that names both coordinates; it may be a comment, as in Metashape's exports.
-fn header(lines: &[Line<'_>]) -> Option<(usize, Separator, Columns)> {
-    lines.iter().take(12).enumerate().find_map(|(at, line)| {
-        let titles = line.text.trim_start_matches(['#', '!', '/']).trim();
-        SEPARATORS.iter().find_map(|&separator| {
-            let columns = columns(split(titles, separator))?;
-            Some((at, separator, columns))
-        })
-    })
 }
 
 fn has_numbers(line: &str) -> bool {
@@ -86,134 +59,4 @@ fn no_header(path: &Path, line: &Line<'_>) -> Error {
         line.place(),
         format!("no column for the {missing} in the header `{shown}`; name one easting and one northing"),
     )
-}
-
-fn with_header(path: &Path, lines: &[Line<'_>], at: usize, separator: Separator, columns: Columns) -> Result<RawList> {
-    // Of two sets of coordinates the CRS that is given may mean the other; one that cannot be read is none.
-    let beside = columns.other().and_then(|other| with_columns(path, lines, at, separator, other).ok());
-    let mut list = with_columns(path, lines, at, separator, columns)?;
-    list.beside = beside.map(Box::new);
-    Ok(list)
-}
-
-fn with_columns(
-    path: &Path,
-    lines: &[Line<'_>],
-    at: usize,
-    separator: Separator,
-    mut columns: Columns,
-) -> Result<RawList> {
-    if let Some(title) = &columns.doubled {
-        let what = format!("two columns are called `{title}`; remove or rename the one that is not meant");
-        return Err(Error::format(path, lines[at].place(), what));
-    }
-    let mut rows: Vec<Row<'_>> = lines[at + 1..]
-        .iter()
-        .filter(|line| !line.is_comment())
-        .map(|line| (line, split(line.text, separator)))
-        .collect();
-    for row in &rows {
-        refuse_open_quote(path, row.0)?;
-        refuse_more_cells(path, row, columns.titles.len(), separator)?;
-    }
-    let of_units = remarks::take_units(&mut columns, &mut rows);
-    let of_marks = columns.settle_marks(path, &rows)?;
-    let statistics = statistics::set_aside(&columns, &mut rows);
-    let guessed = columns.guess_name(&rows);
-    let mut points = Vec::new();
-    for (line, fields) in &rows {
-        points.push(columns.point(path, line.place(), fields, &(points.len() + 1).to_string())?);
-    }
-    let (crs, of_system) = stated_system(path, lines, at, (&columns, &rows), points.first())?;
-    let mut list = RawList::new(points, crs);
-    columns.tell(&mut list);
-    list.open_mark = columns.open_mark(&rows);
-    let skipped = lines[..at].iter().find(|line| !line.is_comment());
-    let above = skipped.map(|line| format!("row {} and what is above the header was passed over", line.row));
-    let of_angles = columns.told_of_angles(&rows);
-    let notes = [of_units, of_marks, of_angles, guessed, statistics.doubt, of_system, columns.unclear(), above];
-    let notes = notes.into_iter().flatten();
-    list.notes.extend(notes.map(|what| format!("{}: {what}", path.display())));
-    list.set_aside = statistics.aside.map(|what| format!("{}: {what}", path.display()));
-    Ok(list)
-}
-
-/// What the table says of its system: above the titles, in a column, in a remark; else degrees are those of WGS 84.
-/// With what is to be said of it.
-fn stated_system(
-    path: &Path,
-    lines: &[Line<'_>],
-    header: usize,
-    (columns, rows): (&Columns, &[Row<'_>]),
-    first: Option<&RawPoint>,
-) -> Result<(CrsClaim, Option<String>)> {
-    let stated = coordinate_system_comment(path, &lines[..header])?;
-    if !matches!(stated, CrsClaim::None) {
-        return Ok((stated, None));
-    }
-    if let (Some(column), Some(point)) = (columns.crs, first)
-        && let Some((_, definition)) = point.attributes.get(column).filter(|(_, text)| !text.trim().is_empty())
-    {
-        return Ok((CrsClaim::read(path, point.place.clone(), definition), None));
-    }
-    let otherwise = || match columns.geographic {
-        true => Ok(CrsClaim::Known(Crs::from_epsg(4326)?)),
-        false => Ok(CrsClaim::None),
-    };
-    match columns.named_system(rows) {
-        Ok(Some(crs)) => return Ok((CrsClaim::Known(crs), None)),
-        Err(why) => return Ok((otherwise()?, Some(why))),
-        Ok(None) => {}
-    }
-    let beside = lines.iter().enumerate().filter(|(i, line)| *i != header && (*i < header || line.is_comment()));
-    Ok(match remarks::system(beside.map(|(_, line)| line)) {
-        // A map's system is not that of degrees.
-        Ok(Some((crs, note))) if crs.is_geographic() == columns.geographic => (CrsClaim::Known(crs), Some(note)),
-        Ok(_) => (otherwise()?, None),
-        Err(why) => (otherwise()?, Some(why)),
-    })
-}
-
-/// A quote that opens a cell and is not closed takes the columns behind it into the cell.
-pub(super) fn refuse_open_quote(path: &Path, line: &Line<'_>) -> Result<()> {
-    if !text::is_open_after(line.text, text::Quote::Closed) {
-        return Ok(());
-    }
-    Err(Error::format(path, line.place(), "a quote (\") opens a cell and is not closed; close it, or take it away"))
-}
-
-/// A row with more cells than there are titles was cut where it should not be.
-pub(super) fn refuse_more_cells(
-    path: &Path,
-    (line, fields): &Row<'_>,
-    titles: usize,
-    separator: Separator,
-) -> Result<()> {
-    let cells = fields.iter().rposition(|field| !field.is_empty()).map_or(0, |at| at + 1);
-    if cells <= titles {
-        return Ok(());
-    }
-    let cause = match separator {
-        Separator::Letter(',') => {
-            "numbers with decimal commas, or other commas in a cell: quote such cells, or put semicolons between the \
-             columns"
-        }
-        Separator::Letter(_) => "the separator within a cell: quote such cells",
-        Separator::Blanks => "blanks within a cell: put semicolons between the columns",
-    };
-    let what = format!("{cells} cells under {titles} titles, as from {cause}; a column of its own needs a title");
-    Err(Error::format(path, line.place(), what))
-}
-
-/// Metashape writes "#CoordinateSystem: WKT" above its header.
-fn coordinate_system_comment(path: &Path, lines: &[Line<'_>]) -> Result<CrsClaim> {
-    for line in lines.iter().filter(|line| line.is_comment()) {
-        let content = line.text.trim_start_matches(['#', '!', '/']).trim();
-        let Some((key, value)) = content.split_once(':') else { continue };
-        let key = key.to_lowercase().replace([' ', '_'], "");
-        if matches!(key.as_str(), "coordinatesystem" | "crs") && !value.trim().is_empty() {
-            return Ok(CrsClaim::read(path, line.place(), value.trim().trim_matches('"')));
-        }
-    }
-    Ok(CrsClaim::None)
 }

@@ -9,7 +9,7 @@ use gdal::vector::{Feature, FieldValue, LayerAccess, OGRwkbGeometryType, geometr
 
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
 use crate::gcp::titles::{NAMES, find, tidy};
-use crate::gcp::{Gcp, ogr, text};
+use crate::gcp::{Gcp, attributes, text};
 use autoref_raster::error::{Error, Result};
 
 /// OGR's layer of everything that is drawn; blocks' own definitions are in another.
@@ -99,7 +99,7 @@ fn layer_of(point: &RawPoint) -> &str {
 
 impl Drawing {
     fn take(&mut self, number: usize, feature: &Feature<'_>, titles: &[String]) {
-        let attributes: Vec<(String, String)> = titles.iter().cloned().zip(ogr::fields(feature)).collect();
+        let attributes: Vec<(String, String)> = titles.iter().cloned().zip(attributes::fields(feature)).collect();
         let value = |title: &str| {
             attributes.iter().find(|(t, _)| t == title).map_or(String::new(), |(_, text)| text.trim().to_string())
         };

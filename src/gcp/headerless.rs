@@ -4,9 +4,8 @@ use std::path::Path;
 
 use crate::gcp::angle::{Letter, angle, letter};
 use crate::gcp::columns::{Columns, is_check};
-use crate::gcp::csv_list::{Row, refuse_open_quote};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
-use crate::gcp::text::{self, Line, SEPARATORS, Separator, split};
+use crate::gcp::text::{self, Line, Row, SEPARATORS, Separator, refuse_open_quote, split};
 use crate::gcp::{remarks, statistics};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};

@@ -5,9 +5,9 @@
 
 use std::path::Path;
 
+use crate::gcp::options::ImageGeoreference;
 use crate::gcp::raw::RawPoint;
-use crate::gcp::read::ImageGeoreference;
-use crate::gcp::{place, read};
+use crate::gcp::{degrees, place};
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
@@ -71,7 +71,7 @@ pub(super) fn adopt(
         notes.push(format!("{} names no CRS: it was taken to be the image's, {}", path.display(), crs.title()));
         return Ok(Some(crs));
     }
-    read::refuse_degrees(path, points)?;
+    degrees::refuse_degrees(path, points)?;
     Err(elsewhere(path, points, image, &crs))
 }
 

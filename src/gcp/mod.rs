@@ -14,9 +14,11 @@
 
 mod accuracy_list;
 mod angle;
+mod attributes;
 mod columns;
 pub mod convert;
 mod csv_list;
+mod degrees;
 mod dxf;
 mod geojson;
 mod headerless;
@@ -25,9 +27,12 @@ mod idx;
 mod image_crs;
 mod instruments;
 mod kof;
+mod list_format;
 mod marks;
+mod metres;
 pub mod odm;
 mod ogr;
+mod options;
 mod order;
 mod packed;
 mod place;
@@ -41,6 +46,7 @@ mod select;
 mod sheet;
 mod statistics;
 pub(crate) mod text;
+mod titled;
 mod titles;
 mod tracks;
 pub(crate) mod units;
@@ -48,8 +54,9 @@ mod wkt;
 mod working_crs;
 mod xml;
 
+pub use options::{GcpOptions, ImageGeoreference};
 pub use place::leading_digits;
-pub use read::{GcpList, GcpOptions, ImageGeoreference, read, settle_places};
+pub use read::{GcpList, read, settle_places};
 pub use working_crs::{Delivered, Reproject, WorkingCrs};
 
 use serde::{Deserialize, Serialize};

@@ -4,11 +4,10 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use gdal::vector::{
-    Feature, FieldValue, Geometry, LayerAccess, OGRwkbGeometryType, geometry_type_flatten, geometry_type_has_z,
-};
+use gdal::vector::{Feature, Geometry, LayerAccess, OGRwkbGeometryType, geometry_type_flatten, geometry_type_has_z};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 
+use crate::gcp::attributes::fields;
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
 use crate::gcp::{Gcp, columns, dxf, sheet, titles as known_titles};
 use autoref_raster::crs::Crs;
@@ -33,7 +32,7 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     let name = if zipped { in_zip() } else { path.to_path_buf() };
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("kml")) {
         // GDAL holds the whole text.
-        autoref_raster::bounded::read(path, "a list", super::recognise::LARGEST_LIST_BYTES)?;
+        autoref_raster::bounded::read(path, "a list", super::text::LARGEST_LIST_BYTES)?;
     }
     let flags = GdalOpenFlags::GDAL_OF_VECTOR | GdalOpenFlags::GDAL_OF_READONLY;
     let open_options = autoref_raster::vector_options(path);
@@ -123,24 +122,6 @@ fn layer(path: &Path, dataset: &Dataset, wanted: Option<&str>) -> Result<usize> 
             "name one with --gcp-layer",
         )),
     }
-}
-
-fn text(value: Option<FieldValue>) -> String {
-    match value {
-        Some(FieldValue::StringValue(text)) => text.trim().to_string(),
-        Some(FieldValue::IntegerValue(value)) => value.to_string(),
-        Some(FieldValue::Integer64Value(value)) => value.to_string(),
-        Some(FieldValue::RealValue(value)) => value.to_string(),
-        _ => String::new(),
-    }
-}
-
-/// The values of a feature as text, empty where none was set.
-pub(super) fn fields(feature: &Feature<'_>) -> Vec<String> {
-    let set = |i: usize| feature.field_as_string(i).ok().flatten().is_some_and(|text| !text.is_empty());
-    // A number that was never set reads as 0, as text it is empty.
-    let value = |i: usize| if set(i) { text(feature.field(i).ok().flatten()) } else { String::new() };
-    (0..feature.field_count()).map(value).collect()
 }
 
 fn point(

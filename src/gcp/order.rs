@@ -4,9 +4,9 @@ use std::path::Path;
 
 use gdal::spatial_ref::SpatialRef;
 
+use crate::gcp::options::ImageGeoreference;
 use crate::gcp::place;
 use crate::gcp::raw::{ColumnOrder, RawPoint};
-use crate::gcp::read::ImageGeoreference;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 

@@ -4,8 +4,8 @@
 use std::path::Path;
 
 use crate::gcp::Gcp;
+use crate::gcp::options::{GcpOptions, ImageGeoreference};
 use crate::gcp::raw::RawPoint;
-use crate::gcp::read::{GcpOptions, ImageGeoreference};
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::{Error, Result};

@@ -1,72 +1,23 @@
 //! Lists of GCPs as files, of any format: recognised, chosen from, and brought into metres.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use crate::gcp::degrees::{
+    latitude_first, look_like_degrees, refuse_degrees, refuse_degrees_of_map, refuse_geocentric, refuse_no_degrees,
+    within_degrees,
+};
+use crate::gcp::options::GcpOptions;
 use crate::gcp::order::{self, Shown};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
-use crate::gcp::working_crs::{Reproject, WorkingCrs};
+use crate::gcp::working_crs::WorkingCrs;
 use crate::gcp::{Gcp, GcpRole, accuracy_list, heights, image_crs, place, recognise, working_crs};
-use autoref_raster::coords::GeoTransform;
-use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
+use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::words::counted;
 
 /// Matching weighs every pair of points against every other point.
 const MOST_POINTS: usize = 2_000;
-
-/// What the caller says about the list.
-#[derive(Clone, Debug)]
-pub struct GcpOptions {
-    /// CRS of the coordinates, overriding what the file says; `local` for local metres.
-    pub crs: Option<String>,
-    /// CRS to bring them, or the result, into.
-    pub to_crs: Option<String>,
-    pub reproject: Reproject,
-    /// Worst accuracy of a change of datum that is taken, metres.
-    pub datum_accuracy_m: f64,
-    /// Layer of a file with several.
-    pub layer: Option<String>,
-    /// Use only these points: names, patterns with `*` and `?`, or `COLUMN=PATTERN`.
-    pub names: Vec<String>,
-    /// Keep these out of the fit, in the same words.
-    pub check: Vec<String>,
-    /// What the image says of itself, for lists that name no CRS.
-    pub image: Option<ImageGeoreference>,
-    /// A table of the survey's errors, point by point.
-    pub accuracy: Option<PathBuf>,
-    /// Exchange easting and northing where all points show that they are exchanged; else that is an error.
-    pub fix_axes: bool,
-    /// Keep points outside the CRS's area of use, which are set aside otherwise.
-    pub keep_outside: bool,
-}
-
-impl Default for GcpOptions {
-    fn default() -> Self {
-        GcpOptions {
-            crs: None,
-            to_crs: None,
-            reproject: Reproject::Before,
-            datum_accuracy_m: DEFAULT_DATUM_ACCURACY_M,
-            layer: None,
-            names: Vec::new(),
-            check: Vec::new(),
-            image: None,
-            accuracy: None,
-            fix_axes: false,
-            keep_outside: false,
-        }
-    }
-}
-
-/// A georeference that the image already has.
-#[derive(Clone, Debug)]
-pub struct ImageGeoreference {
-    pub crs_wkt: String,
-    /// `None` when it does not say where it lies.
-    pub transform: Option<GeoTransform>,
-    pub size_px: (u64, u64),
-}
 
 /// A list as it will be used: coordinates in metres.
 #[derive(Clone, Debug)]
@@ -330,45 +281,6 @@ fn drop_repeated(path: &Path, points: &mut Vec<RawPoint>, notes: &mut Vec<String
     points.retain(|_| !repeats.contains(&index.next().expect("it never ends")));
 }
 
-fn within_degrees(points: &[RawPoint]) -> bool {
-    points.iter().all(|p| p.gcp.easting.abs() <= 180.0 && p.gcp.northing.abs() <= 90.0)
-}
-
-/// Degrees, when the first number is the latitude.
-fn latitude_first(points: &[RawPoint]) -> bool {
-    points.iter().all(|p| p.gcp.northing.abs() <= 180.0 && p.gcp.easting.abs() <= 90.0)
-}
-
-/// Points within one metre of each other are no survey: they are degrees.
-fn look_like_degrees(points: &[RawPoint]) -> bool {
-    let small = points.iter().all(|p| p.gcp.easting.abs() <= 180.0 && p.gcp.northing.abs() <= 180.0);
-    let spread = |f: fn(&Gcp) -> f64| {
-        let values = points.iter().map(|p| f(&p.gcp));
-        values.clone().fold(f64::NEG_INFINITY, f64::max) - values.fold(f64::INFINITY, f64::min)
-    };
-    points.len() > 1 && small && spread(|g| g.easting) < 1.0 && spread(|g| g.northing) < 1.0
-}
-
-/// Degrees without a CRS.
-pub(super) fn refuse_degrees(path: &Path, points: &[RawPoint]) -> Result<()> {
-    if look_like_degrees(points) {
-        return Err(Error::format(
-            path,
-            "the coordinates",
-            "they look like degrees, in which nothing can be fitted; give --crs EPSG:4326, or the CRS they are in",
-        ));
-    }
-    Ok(())
-}
-
-/// Degrees without a CRS and without titles, where nothing is fitted but all is written.
-pub(super) fn refuse_untitled_degrees(path: &Path, points: &[RawPoint]) -> Result<()> {
-    if look_like_degrees(points) {
-        return Err(order::either_way(path, points));
-    }
-    Ok(())
-}
-
 /// Looks at the places of a list that another reader took as east, north, height: north first is exchanged where only
 /// that can be, and said.
 ///
@@ -393,81 +305,4 @@ pub fn settle_places(path: &Path, places: &mut [[f64; 3]], crs: Option<&Crs>) ->
         (place[0], place[1]) = (point.gcp.easting, point.gcp.northing);
     }
     Ok(notes)
-}
-
-/// Coordinates that count from the centre of the Earth are no map's: all lie as far from it as the ground does, and
-/// none has a height that ground has.
-fn refuse_geocentric(path: &Path, points: &[RawPoint]) -> Result<()> {
-    const RADII_M: std::ops::Range<f64> = 6.33e6..6.4e6;
-    const HIGHEST_M: f64 = 10_000.0;
-    let is_geocentric = |p: &RawPoint| {
-        p.gcp
-            .height
-            .is_some_and(|z| z.abs() > HIGHEST_M && RADII_M.contains(&p.gcp.easting.hypot(p.gcp.northing).hypot(z)))
-    };
-    match points.first() {
-        Some(first) if points.iter().all(is_geocentric) => Err(Error::format(
-            path,
-            &first.place,
-            "the coordinates count from the centre of the Earth (geocentric X, Y, Z): bring them to a map first, for \
-             example with `cs2cs EPSG:4978 EPSG:32633`",
-        )),
-        _ => Ok(()),
-    }
-}
-
-/// No latitude is larger than 90 degrees.
-///
-/// # Errors
-/// [`Error::Format`] with the first point that has one.
-pub(super) fn refuse_beyond_poles(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<()> {
-    let is_degrees = crs.counts_degrees();
-    match points.iter().find(|p| is_degrees && p.gcp.northing.abs() > 90.0) {
-        Some(bad) => Err(Error::format(
-            path,
-            &bad.place,
-            format!(
-                "no latitude is {}; correct it, or exchange the columns of longitude and latitude",
-                bad.gcp.northing
-            ),
-        )),
-        None => Ok(()),
-    }
-}
-
-/// Degrees under a system of metres or feet: beside its origin they would pass for coordinates of it.
-fn refuse_degrees_of_map(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<()> {
-    if crs.is_geographic() || crs.is_local() || !look_like_degrees(points) {
-        return Ok(());
-    }
-    let title = crs.title();
-    let what = format!("they look like degrees, but {title} has none; give --crs EPSG:4326, or the CRS they are in");
-    Err(Error::format(path, "the coordinates", what))
-}
-
-/// A system in degrees has no larger numbers.
-fn refuse_no_degrees(path: &Path, points: &[RawPoint], crs: &Crs) -> Result<()> {
-    if !crs.counts_degrees() || within_degrees(points) {
-        return Ok(());
-    }
-    // A longitude may count from 0 to 360.
-    let are_degrees = |e: f64, n: f64| e.abs() <= 360.0 && n.abs() <= 90.0;
-    let stands = |p: &&RawPoint| are_degrees(p.gcp.easting, p.gcp.northing);
-    // Exchanged columns are another matter.
-    if points.iter().all(|p| !stands(&p) && are_degrees(p.gcp.northing, p.gcp.easting)) {
-        return Ok(());
-    }
-    match points.iter().find(|p| !stands(p)) {
-        Some(bad) => Err(Error::format(
-            path,
-            &bad.place,
-            format!(
-                "{}, {} are no degrees, but {} counts in them; give the --crs that the coordinates are in",
-                bad.gcp.easting,
-                bad.gcp.northing,
-                crs.title()
-            ),
-        )),
-        None => Ok(()),
-    }
 }

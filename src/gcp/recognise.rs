@@ -3,14 +3,13 @@
 use std::io::Read;
 use std::path::Path;
 
-use crate::gcp::convert::ListFormat;
+use crate::gcp::list_format::ListFormat;
 use crate::gcp::raw::RawList;
-use crate::gcp::{csv_list, geojson, idx, instruments, kof, odm, ogr, qgis, text, tracks, xml};
+use crate::gcp::text::LARGEST_LIST_BYTES;
+use crate::gcp::{csv_list, geojson, idx, instruments, kof, odm, ogr, qgis, text, titled, tracks, xml};
 use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 
-/// Lists are small; what is larger is another file.
-pub(super) const LARGEST_LIST_BYTES: u64 = 32 << 20;
 /// Of which a list may be chosen by name.
 const MOST_ROWS: usize = 50_000;
 /// Ends of names that are GDAL's.
@@ -68,7 +67,7 @@ fn recognised(path: &Path, text: &str) -> ListFormat {
     let content: Vec<text::Line<'_>> = lines.iter().skip_while(|line| line.is_comment()).copied().collect();
     // "WGS84 Latitude,WGS84 Longitude" begins as the name of a CRS does.
     let is_wkt = |line: &text::Line<'_>| line.text.contains("[\"");
-    let has_titles = content.first().is_some_and(|first| !is_wkt(first) && csv_list::is_header(*first));
+    let has_titles = content.first().is_some_and(|first| !is_wkt(first) && titled::is_header(*first));
     let has_crs = content.first().is_some_and(|first| odm::is_crs_line(first.text));
     if !has_titles && (has_crs || odm::has_observations(&content)) {
         return ListFormat::Odm;

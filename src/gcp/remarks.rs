@@ -4,8 +4,7 @@
 use std::collections::BTreeMap;
 
 use crate::gcp::columns::Columns;
-use crate::gcp::csv_list::Row;
-use crate::gcp::text::Line;
+use crate::gcp::text::{Line, Row};
 use crate::gcp::units::Unit;
 use autoref_raster::crs::Crs;
 

@@ -7,8 +7,8 @@ use gdal::Dataset;
 use gdal::vector::LayerAccess;
 
 use crate::gcp::raw::RawList;
-use crate::gcp::recognise::LARGEST_LIST_BYTES;
-use crate::gcp::{csv_list, ogr, text};
+use crate::gcp::text::LARGEST_LIST_BYTES;
+use crate::gcp::{attributes, csv_list, text};
 use autoref_raster::error::{Error, Result};
 
 /// Drivers of spreadsheets, which guess where the titles are and what the cells hold unless they are told.
@@ -76,7 +76,7 @@ pub(super) fn parse(path: &Path, layer: &mut impl LayerAccess, titles: Titles) -
         push(&mut table, &fields);
     }
     for feature in layer.features() {
-        push(&mut table, &ogr::fields(&feature));
+        push(&mut table, &attributes::fields(&feature));
         if table.len() as u64 > LARGEST_LIST_BYTES {
             let what = format!("a table of more than {} MiB", LARGEST_LIST_BYTES >> 20);
             return Err(Error::unsupported(path, what, "cut the list to the area of the image"));

@@ -8,7 +8,7 @@
 use std::collections::HashSet;
 
 use crate::gcp::columns::Columns;
-use crate::gcp::csv_list::Row;
+use crate::gcp::text::Row;
 use crate::gcp::titles::tidy;
 
 /// What a row says of the rows above.

@@ -1,9 +1,12 @@
 //! What all text formats share: encodings, lines, columns, numbers.
 
+use std::path::Path;
+
 use chardetng::{EncodingDetector, Iso2022JpDetection, Utf8Detection};
 use encoding_rs::{Encoding, WINDOWS_1250, WINDOWS_1252, WINDOWS_1254, WINDOWS_1257};
 
 use crate::gcp::titles;
+use autoref_raster::error::{Error, Result};
 
 /// Text of a file: UTF-8 or UTF-16 with or without a byte order mark, else the encoding of a country, told by its
 /// letters, as old survey software and Excel write; line ends of any system. `None` for files that are no text.
@@ -230,6 +233,43 @@ pub(super) fn number(text: &str) -> Option<f64> {
     let looks = canonical.bytes().all(|b| b.is_ascii_digit() || b"+-.eE".contains(&b));
     canonical.parse().ok().filter(|value: &f64| looks && value.is_finite())
 }
+
+/// A row of a table, cut.
+pub(super) type Row<'a> = (&'a Line<'a>, Vec<String>);
+
+/// A quote that opens a cell and is not closed takes the columns behind it into the cell.
+pub(super) fn refuse_open_quote(path: &Path, line: &Line<'_>) -> Result<()> {
+    if !is_open_after(line.text, Quote::Closed) {
+        return Ok(());
+    }
+    Err(Error::format(path, line.place(), "a quote (\") opens a cell and is not closed; close it, or take it away"))
+}
+
+/// A row with more cells than there are titles was cut where it should not be.
+pub(super) fn refuse_more_cells(
+    path: &Path,
+    (line, fields): &Row<'_>,
+    titles: usize,
+    separator: Separator,
+) -> Result<()> {
+    let cells = fields.iter().rposition(|field| !field.is_empty()).map_or(0, |at| at + 1);
+    if cells <= titles {
+        return Ok(());
+    }
+    let cause = match separator {
+        Separator::Letter(',') => {
+            "numbers with decimal commas, or other commas in a cell: quote such cells, or put semicolons between the \
+             columns"
+        }
+        Separator::Letter(_) => "the separator within a cell: quote such cells",
+        Separator::Blanks => "blanks within a cell: put semicolons between the columns",
+    };
+    let what = format!("{cells} cells under {titles} titles, as from {cause}; a column of its own needs a title");
+    Err(Error::format(path, line.place(), what))
+}
+
+/// Lists are small; what is larger is another file.
+pub(super) const LARGEST_LIST_BYTES: u64 = 32 << 20;
 
 #[cfg(test)]
 mod tests {

@@ -3,9 +3,9 @@
 
 use std::path::Path;
 
-use crate::gcp::csv_list;
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList};
-use crate::gcp::text::{Line, SEPARATORS, Separator, split};
+use crate::gcp::text::{Line, SEPARATORS, Separator, refuse_open_quote, split};
+use crate::gcp::titled;
 use crate::gcp::titles::tidy;
 use autoref_raster::error::{Error, Result};
 
@@ -58,7 +58,7 @@ fn apart(
     let mut table = vec![(first.row, row_of(&titles))];
     let mut system = None;
     for line in rows {
-        csv_list::refuse_open_quote(path, line)?;
+        refuse_open_quote(path, line)?;
         let mut cells = split(line.text, separator);
         let Some(Point { numbers, srid }) = cells.get(at).and_then(|cell| point(cell)) else {
             let shown: String = cells.get(at).map_or(line.text, String::as_str).chars().take(60).collect();
@@ -78,7 +78,7 @@ fn apart(
         table.push((line.row, row_of(&cells)));
     }
     let lines: Vec<Line<'_>> = table.iter().map(|(row, text)| Line { row: *row, text }).collect();
-    let mut list = csv_list::parse(path, &lines)?;
+    let mut list = titled::parse(path, &lines).expect("its titles name both coordinates")?;
     list.order = ColumnOrder::Ruled;
     list.may_be_degrees = true;
     if let (Some((place, label)), CrsClaim::None) = (system, &list.crs) {

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::kof::{KOF_NAME, fitting};
 use super::{ListFormat, Survey, names};
 use crate::gcp::odm::CHECK_PREFIX;
 use crate::gcp::packed::Packed;
@@ -11,8 +12,6 @@ use autoref_raster::cells::without_apostrophe;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::words::counted;
 
-/// Letters of a name in KOF's columns.
-pub(super) const KOF_NAME: usize = 10;
 /// Properties of our own output, which are said in other columns or follow from the result.
 const OWN: [&str; 9] = ["layer", "crs", "x", "y", "pixels", "image", "pixel_x", "pixel_y", "attribute"];
 
@@ -149,7 +148,7 @@ fn kof(survey: &Survey) -> Vec<String> {
     for gcp in survey.gcps() {
         let fields = [(gcp.northing, 12), (gcp.easting, 11)].into_iter().chain(gcp.height.map(|h| (h, 8)));
         for (value, width) in fields {
-            let written = super::words::fitting(value, width).and_then(|text| text.trim().parse::<f64>().ok());
+            let written = fitting(value, width).and_then(|text| text.trim().parse::<f64>().ok());
             worst = worst.max(written.map_or(0.0, |w| (w - value).abs()));
         }
     }
@@ -212,7 +211,7 @@ pub(super) fn refuse(input: &Path, survey: &Survey, format: ListFormat) -> Resul
     for point in &survey.points {
         let gcp = &point.gcp;
         let fit = [(gcp.northing, 12), (gcp.easting, 11), (gcp.height.unwrap_or(0.0), 8)];
-        if let Some((value, width)) = fit.into_iter().find(|(v, w)| super::words::fitting(*v, *w).is_none()) {
+        if let Some((value, width)) = fit.into_iter().find(|(v, w)| fitting(*v, *w).is_none()) {
             return Err(Error::format(
                 input,
                 &point.place,

@@ -4,8 +4,8 @@ use std::collections::{HashMap, HashSet};
 
 use serde_json::{Map, Value, json};
 
-use super::losses::{KOF_NAME, extra, has_a_meaning};
-use super::{ListFormat, Survey};
+use super::losses::{extra, has_a_meaning};
+use super::{ListFormat, Survey, kof};
 use crate::gcp::programs::{self, Marker, optional, role};
 use crate::gcp::raw::{RawPoint, Seen};
 use autoref_raster::cells::{csv_text, quoted};
@@ -16,7 +16,7 @@ use autoref_raster::error::{Error, Result};
 pub(super) fn write(survey: &Survey, format: ListFormat) -> Result<String> {
     Ok(match format {
         ListFormat::GeoJson => geojson(survey),
-        ListFormat::Kof => kof(survey),
+        ListFormat::Kof => kof::write(survey),
         ListFormat::Odm => odm(survey)?,
         ListFormat::Qgis => qgis(survey),
         ListFormat::MetashapeCsv => programs::metashape_reference(survey.gcps(), survey.crs.as_ref()),
@@ -116,32 +116,6 @@ fn csv(survey: &Survey) -> String {
         };
         let fields: Vec<String> = titles.iter().enumerate().map(|column| field(&value(column))).collect();
         text.push_str(&(fields.join(",") + "\n"));
-    }
-    text
-}
-
-/// A number in at most so many columns, with as many of its decimals as fit. `None` when it does not fit.
-pub(super) fn fitting(value: f64, width: usize) -> Option<String> {
-    let exact = value.to_string();
-    if exact.len() <= width {
-        return Some(exact);
-    }
-    (0..width).rev().map(|decimals| format!("{value:.decimals$}")).find(|text| text.len() <= width)
-}
-
-/// Records "05" in the columns of the specification: name 5–14, northing 25–36, easting 38–48, height 50–57.
-fn kof(survey: &Survey) -> String {
-    let mut text = String::from(" 00 Oppdrag      Dato     Ver\n");
-    for gcp in survey.gcps() {
-        let name: String = gcp.name.chars().take(KOF_NAME).collect();
-        let number = |value: f64, width: usize| fitting(value, width).unwrap_or_default();
-        let height = gcp.height.map_or(String::new(), |h| number(h, 8));
-        let row = format!(
-            " 05 {name:<10}          {:>12} {:>11} {height:>8}",
-            number(gcp.northing, 12),
-            number(gcp.easting, 11)
-        );
-        text.push_str(&(row.trim_end().to_owned() + "\n"));
     }
     text
 }

@@ -11,7 +11,7 @@ mod sima;
 
 use std::path::Path;
 
-use crate::gcp::convert::ListFormat;
+use crate::gcp::list_format::ListFormat;
 use crate::gcp::raw::{RawList, RawPoint};
 use crate::gcp::text::Line;
 use autoref_raster::error::{Error, Result};

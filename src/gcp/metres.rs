@@ -1,0 +1,96 @@
+//! Coordinates and heights brought out of the units that titles name, into metres and the unit of the CRS.
+
+use std::path::Path;
+
+use crate::gcp::raw::RawPoint;
+use crate::gcp::units::{TitledUnits, Unit};
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
+
+impl TitledUnits {
+    /// Brings local coordinates, and those of a CRS in metres, into metres, and heights into the unit of the CRS; says
+    /// so in `notes`.
+    ///
+    /// # Errors
+    /// [`Error::Format`] when the titles say two units, feet of no certain kind, or another unit than a CRS that does
+    /// not count in metres.
+    pub fn apply(
+        &self,
+        path: &Path,
+        points: &mut [RawPoint],
+        crs: Option<&Crs>,
+        notes: &mut Vec<String>,
+    ) -> Result<()> {
+        let plan = self.plan_unit(path)?;
+        let height_unit_m = match crs {
+            Some(crs) => {
+                self.refuse_other(path, crs)?;
+                crs.height_metres_per_unit().unwrap_or_else(|| crs.metres_per_unit())
+            }
+            None => 1.0,
+        };
+        let mut scale = |factor: f64, of: fn(&mut RawPoint) -> Option<&mut f64>| {
+            points.iter_mut().filter_map(of).for_each(|value| *value *= factor);
+        };
+        if let Some(unit) = plan.filter(|unit| crs.is_none_or(in_metres) && !unit.is(1.0)) {
+            scale(unit.metres, |p| Some(&mut p.gcp.easting));
+            scale(unit.metres, |p| Some(&mut p.gcp.northing));
+            notes.push(format!("{}: its titles say {}: coordinates were brought to metres", path.display(), unit.name));
+        }
+        // Heights without a unit of their own have that of the coordinates beside them.
+        let height = self.height.as_ref().map(|(unit, _)| *unit).or(plan.filter(|_| crs.is_none_or(in_metres)));
+        if let Some(unit) = height.filter(|unit| !unit.is(height_unit_m)) {
+            scale(unit.metres / height_unit_m, |p| p.gcp.height.as_mut());
+            let to = if height_unit_m == 1.0 { "metres" } else { "the unit of its CRS" };
+            notes.push(format!("{}: its heights are in {}: they were brought to {to}", path.display(), unit.name));
+        }
+        Ok(())
+    }
+
+    /// Of both coordinates.
+    fn plan_unit(&self, path: &Path) -> Result<Option<Unit>> {
+        let [easting, northing] = &self.plan;
+        if let (Some((a, first)), Some((b, second))) = (easting, northing)
+            && a != b
+        {
+            let what = format!("`{first}` and `{second}` name two units; both coordinates need the same one");
+            return Err(Error::format(path, "the header", what));
+        }
+        Ok(easting.as_ref().or(northing.as_ref()).map(|(unit, _)| *unit))
+    }
+
+    fn refuse_other(&self, path: &Path, crs: &Crs) -> Result<()> {
+        let unit_m = crs.metres_per_unit();
+        let other = self.plan.iter().flatten().find(|(unit, _)| !unit.is(unit_m));
+        let stays = |unit: &Unit| !(in_metres(crs) && unit.is_certain());
+        match other.filter(|(unit, _)| !crs.is_geographic() && stays(unit)) {
+            Some((_, title)) if in_metres(crs) => Err(Error::format(
+                path,
+                "the header",
+                format!(
+                    "the title `{title}` says feet of no certain kind, but {} counts in metres; write `(US ft)` or \
+                     `(ift)` in the titles, or give the --crs that counts in feet",
+                    crs.title()
+                ),
+            )),
+            Some((unit, title)) => Err(Error::format(
+                path,
+                "the header",
+                format!(
+                    "the title `{title}` says {}, but {} counts in {} of {unit_m} m; give the --crs that counts in \
+                     {}, or correct the title",
+                    unit.name,
+                    crs.title(),
+                    crs.unit_name(),
+                    unit.name
+                ),
+            )),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Whether it is a map in metres.
+fn in_metres(crs: &Crs) -> bool {
+    !crs.is_geographic() && crs.metres_per_unit() == 1.0
+}

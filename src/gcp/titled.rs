@@ -1,0 +1,131 @@
+//! Tables with a header: the columns stand in any order, under the titles that surveyors use.
+
+use std::path::Path;
+
+use crate::gcp::columns::{Columns, columns};
+use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
+use crate::gcp::text::{Line, Row, SEPARATORS, Separator, refuse_more_cells, refuse_open_quote, split};
+use crate::gcp::{remarks, statistics};
+use autoref_raster::crs::Crs;
+use autoref_raster::error::{Error, Result};
+
+/// The list under its header; `None` where no line among the first ones names both coordinates.
+pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Option<Result<RawList>> {
+    let (at, separator, columns) = header(lines)?;
+    Some(with_header(path, lines, at, separator, columns))
+}
+
+/// Whether a line names both coordinates.
+pub(super) fn is_header(line: Line<'_>) -> bool {
+    header(&[line]).is_some()
+}
+
+/// The line among the first ones that names both coordinates; it may be a comment, as in Metashape's exports.
+fn header(lines: &[Line<'_>]) -> Option<(usize, Separator, Columns)> {
+    lines.iter().take(12).enumerate().find_map(|(at, line)| {
+        let titles = line.text.trim_start_matches(['#', '!', '/']).trim();
+        SEPARATORS.iter().find_map(|&separator| {
+            let columns = columns(split(titles, separator))?;
+            Some((at, separator, columns))
+        })
+    })
+}
+
+fn with_header(path: &Path, lines: &[Line<'_>], at: usize, separator: Separator, columns: Columns) -> Result<RawList> {
+    // Of two sets of coordinates the CRS that is given may mean the other; one that cannot be read is none.
+    let beside = columns.other().and_then(|other| with_columns(path, lines, at, separator, other).ok());
+    let mut list = with_columns(path, lines, at, separator, columns)?;
+    list.beside = beside.map(Box::new);
+    Ok(list)
+}
+
+fn with_columns(
+    path: &Path,
+    lines: &[Line<'_>],
+    at: usize,
+    separator: Separator,
+    mut columns: Columns,
+) -> Result<RawList> {
+    if let Some(title) = &columns.doubled {
+        let what = format!("two columns are called `{title}`; remove or rename the one that is not meant");
+        return Err(Error::format(path, lines[at].place(), what));
+    }
+    let mut rows: Vec<Row<'_>> = lines[at + 1..]
+        .iter()
+        .filter(|line| !line.is_comment())
+        .map(|line| (line, split(line.text, separator)))
+        .collect();
+    for row in &rows {
+        refuse_open_quote(path, row.0)?;
+        refuse_more_cells(path, row, columns.titles.len(), separator)?;
+    }
+    let of_units = remarks::take_units(&mut columns, &mut rows);
+    let of_marks = columns.settle_marks(path, &rows)?;
+    let statistics = statistics::set_aside(&columns, &mut rows);
+    let guessed = columns.guess_name(&rows);
+    let mut points = Vec::new();
+    for (line, fields) in &rows {
+        points.push(columns.point(path, line.place(), fields, &(points.len() + 1).to_string())?);
+    }
+    let (crs, of_system) = stated_system(path, lines, at, (&columns, &rows), points.first())?;
+    let mut list = RawList::new(points, crs);
+    columns.tell(&mut list);
+    list.open_mark = columns.open_mark(&rows);
+    let skipped = lines[..at].iter().find(|line| !line.is_comment());
+    let above = skipped.map(|line| format!("row {} and what is above the header was passed over", line.row));
+    let of_angles = columns.told_of_angles(&rows);
+    let notes = [of_units, of_marks, of_angles, guessed, statistics.doubt, of_system, columns.unclear(), above];
+    let notes = notes.into_iter().flatten();
+    list.notes.extend(notes.map(|what| format!("{}: {what}", path.display())));
+    list.set_aside = statistics.aside.map(|what| format!("{}: {what}", path.display()));
+    Ok(list)
+}
+
+/// What the table says of its system: above the titles, in a column, in a remark; else degrees are those of WGS 84.
+/// With what is to be said of it.
+fn stated_system(
+    path: &Path,
+    lines: &[Line<'_>],
+    header: usize,
+    (columns, rows): (&Columns, &[Row<'_>]),
+    first: Option<&RawPoint>,
+) -> Result<(CrsClaim, Option<String>)> {
+    let stated = coordinate_system_comment(path, &lines[..header])?;
+    if !matches!(stated, CrsClaim::None) {
+        return Ok((stated, None));
+    }
+    if let (Some(column), Some(point)) = (columns.crs, first)
+        && let Some((_, definition)) = point.attributes.get(column).filter(|(_, text)| !text.trim().is_empty())
+    {
+        return Ok((CrsClaim::read(path, point.place.clone(), definition), None));
+    }
+    let otherwise = || match columns.geographic {
+        true => Ok(CrsClaim::Known(Crs::from_epsg(4326)?)),
+        false => Ok(CrsClaim::None),
+    };
+    match columns.named_system(rows) {
+        Ok(Some(crs)) => return Ok((CrsClaim::Known(crs), None)),
+        Err(why) => return Ok((otherwise()?, Some(why))),
+        Ok(None) => {}
+    }
+    let beside = lines.iter().enumerate().filter(|(i, line)| *i != header && (*i < header || line.is_comment()));
+    Ok(match remarks::system(beside.map(|(_, line)| line)) {
+        // A map's system is not that of degrees.
+        Ok(Some((crs, note))) if crs.is_geographic() == columns.geographic => (CrsClaim::Known(crs), Some(note)),
+        Ok(_) => (otherwise()?, None),
+        Err(why) => (otherwise()?, Some(why)),
+    })
+}
+
+/// Metashape writes "#CoordinateSystem: WKT" above its header.
+fn coordinate_system_comment(path: &Path, lines: &[Line<'_>]) -> Result<CrsClaim> {
+    for line in lines.iter().filter(|line| line.is_comment()) {
+        let content = line.text.trim_start_matches(['#', '!', '/']).trim();
+        let Some((key, value)) = content.split_once(':') else { continue };
+        let key = key.to_lowercase().replace([' ', '_'], "");
+        if matches!(key.as_str(), "coordinatesystem" | "crs") && !value.trim().is_empty() {
+            return Ok(CrsClaim::read(path, line.place(), value.trim().trim_matches('"')));
+        }
+    }
+    Ok(CrsClaim::None)
+}
