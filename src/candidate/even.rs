@@ -5,13 +5,15 @@
 //! asked instead. Every limit was chosen on the tuning half of `benches/paint.py`: it takes 20 of 36 marks that the
 //! other looks turned down, white and worn, and of 730 other regions that they turned down it takes 2.
 
-use super::examine::{Around, Evidence, LEAST_CONTRAST, Looks, growth, settle, unfitted};
-use super::fit::{Fit, Form};
+use super::evidence::{Around, Evidence, LEAST_CONTRAST, growth, settle, unfitted};
+use super::fit::Fit;
 use super::gates::moments_rectangle;
+use super::kernels::Form;
 use super::local::{Growth, Local};
+use super::looks::Looks;
 use super::paint_share::{Across, best_fit};
+use super::pixel_set::region_of;
 use super::scene::{RING_PX, Scene};
-use super::split::region_of;
 use super::whole::{self, Whole};
 use crate::segment::label::Region;
 
@@ -152,7 +154,7 @@ impl Looks<'_> {
 mod tests {
     use super::super::drawn::{inside, patch};
     use super::super::pixel_set::PixelSet;
-    use super::super::split::region_of;
+    use super::super::pixel_set::region_of;
     use super::*;
 
     #[test]

@@ -12,15 +12,14 @@
 use nalgebra::Vector2;
 
 use super::Candidate;
-use super::examine::LEAST_CONTRAST;
+use super::evidence::LEAST_CONTRAST;
 use super::half_turn::{MOST_MOVED_PX, Picture, SURELY_ALIKE, Turned};
 use super::hull::{convex_hull, edges, twice_area};
 use super::paint_share::Across;
 use super::pierced::with_cracked_off;
-use super::pixel_set::PixelSet;
+use super::pixel_set::{PixelSet, region_of};
 use super::scene::Scene;
 use super::score::RING_LOOK;
-use super::split::region_of;
 use crate::profile::{Profile, Shape};
 use autoref_raster::coords::PixelPoint;
 

@@ -9,19 +9,13 @@
 use nalgebra::{SMatrix, SVector};
 
 use super::descent::{End, FIRST_DAMPING, Normal, Surface, Trust, at_rest, descend};
-use super::kernels::{self, Model, PARAMETERS, Samples};
+use super::kernels::{self, Form, Model, PARAMETERS, Samples};
 use autoref_raster::coords::PixelPoint;
 
 /// Parameters: centre x, y; logarithms of the two sides (disc: of the diameter, twice); angle; logarithm of the blur;
 /// height; plane: constant, slope in x, slope in y.
 type Vector = SVector<f64, PARAMETERS>;
 type Matrix = SMatrix<f64, PARAMETERS, PARAMETERS>;
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Form {
-    Rectangle,
-    Disc,
-}
 
 /// Standard deviations that say how far a parameter may lie from its start or from its expectation.
 #[derive(Clone, Copy, Debug)]

@@ -153,6 +153,13 @@ pub fn centroid(region: &Region) -> (f64, f64) {
     (axis(region.sum_x, region.bounds.x), axis(region.sum_y, region.bounds.y))
 }
 
+/// Area of a region over that of a rectangle with the same second moments, and the ratio of the larger to the smaller
+/// of these.
+pub(super) fn compactness(region: &Region) -> (f64, f64) {
+    let (rectangle_px, [larger, smaller]) = moments_rectangle(region);
+    (region.area as f64 / rectangle_px.max(0.012), larger / smaller.max(1e-6))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -5,15 +5,17 @@
 //! fresh paint does not have. Each sign is weak; logistic regression weighs them together.
 
 use super::Candidate;
-use super::examine::{Around, Evidence, Looks, candidate, growth, near, settle, unfitted};
+use super::evidence::{Around, Evidence, growth, settle, unfitted};
+use super::examine::{candidate, near};
 use super::fit::Fit;
-use super::gates::Gates;
+use super::gates::{Gates, compactness};
 use super::local::{Growth, Local};
+use super::looks::Looks;
 use super::paint_share::{Across, best_fit};
+use super::pixel_set::region_of;
 use super::scene::{OwnPaint, RING_PX, Scene};
-use super::split::region_of;
 use super::whole;
-use super::worn::{compactness, off_line};
+use super::worn::off_line;
 use crate::profile::Profile;
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;

@@ -1,7 +1,7 @@
 //! What the coefficients of a JPEG differ by from a model: rounding, and the texture of the ground.
 
 use super::descent::Trust;
-use super::jpeg_fit::Channels;
+use super::jpeg_planes::Channels;
 use super::jpeg_steps::{CELLS, Cells, Cosines, N};
 
 /// Variance of a coefficient by rounded samples.

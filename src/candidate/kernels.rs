@@ -4,8 +4,6 @@
 //! Nothing is contracted or reordered, so all give the same bits; tests compare them.
 #![allow(unsafe_code)]
 
-use super::fit::Form;
-
 /// Pixels that are worked on together.
 pub const LANES: usize = 16;
 /// Running sums side by side, so that the order of additions does not depend on the machine.
@@ -14,6 +12,12 @@ pub const PARAMETERS: usize = 10;
 const SQUARES: usize = PARAMETERS * (PARAMETERS + 1) / 2;
 
 pub type Lanes = [f64; LANES];
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    Rectangle,
+    Disc,
+}
 
 /// One pixel of the fit.
 #[derive(Clone, Copy, Debug)]

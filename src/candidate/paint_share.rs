@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::fit::{Fit, Form, Priors, fit, start_cost};
-use super::kernels::{Sample, Samples};
+use super::fit::{Fit, Priors, fit, start_cost};
+use super::kernels::{Form, Sample, Samples};
 use super::scene::{Ground, Scene};
 use crate::profile::Shape;
 

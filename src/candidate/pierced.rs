@@ -5,15 +5,15 @@
 //! the mark by its convex hull: paint is laid down as a square or a disc, so what the hull holds and colour does not is
 //! gone. The fit is asked of the other pixels only.
 
-use super::examine::{Evidence, Looks, SLACK, growth, settle, unfitted};
+use super::evidence::{Evidence, growth, settle, unfitted};
+use super::gates::compactness;
 use super::hull::{convex_hull, edges};
+use super::looks::{Looks, SLACK};
 use super::paint_share::{Across, best_fit};
-use super::pixel_set::PixelSet;
+use super::pixel_set::{PixelSet, region_of};
 use super::scene::Scene;
 use super::score::RING_LOOK;
-use super::split::region_of;
 use super::whole;
-use super::worn::compactness;
 
 /// Of fewer pixels any speck is as compact.
 const LEAST_AREA_PX: usize = 40;

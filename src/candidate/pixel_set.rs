@@ -1,6 +1,10 @@
 //! Sets of pixels of a small window, a bit each: what is near, what is deep inside and what hangs together is then
 //! found for 64 pixels at a time. Distances are Chebyshev's.
 
+use crate::segment::label::Region;
+use autoref_raster::Patch;
+use autoref_raster::window::Window;
+
 /// Pixels of a window, named by their index in row-major order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PixelSet {
@@ -299,6 +303,38 @@ fn fill_runs(seed: u64, mask: u64) -> u64 {
         open_down &= open_down >> step;
     }
     up | down
+}
+
+/// The integers of a set of pixels of a patch; `None` when there are fewer than three. The outline is left at the
+/// box's: gates on it are not to be asked.
+pub(crate) fn region_of(own: &PixelSet, patch: &Patch) -> Option<Region> {
+    let width = patch.window.width;
+    let mut region: Option<Region> = None;
+    for i in own.iter() {
+        let (x, y) = (patch.window.x + i as u64 % width, patch.window.y + i as u64 / width);
+        let r = region.get_or_insert_with(|| Region {
+            first: (y, x),
+            bounds: Window::new(x, y, 1, 1),
+            area: 0,
+            sum_x: 0,
+            sum_y: 0,
+            sum_xx: 0,
+            sum_xy: 0,
+            sum_yy: 0,
+            perimeter: 0,
+        });
+        let (u, v) = (u128::from(x), u128::from(y));
+        r.bounds = r.bounds.union(&Window::new(x, y, 1, 1));
+        r.area += 1;
+        r.sum_x += u;
+        r.sum_y += v;
+        r.sum_xx += u * u;
+        r.sum_xy += u * v;
+        r.sum_yy += v * v;
+    }
+    let mut region = region.filter(|r| r.area >= 3)?;
+    region.perimeter = 2 * (region.bounds.width + region.bounds.height);
+    Some(region)
 }
 
 #[cfg(test)]

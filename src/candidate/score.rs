@@ -1,6 +1,6 @@
 //! How likely it is that what the examination measured is a mark.
 
-use super::examine::Evidence;
+use super::evidence::Evidence;
 use super::fit::Fit;
 use super::gates::Gates;
 use crate::profile::{Profile, Shape};

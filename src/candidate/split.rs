@@ -4,16 +4,16 @@
 //! region goes to its nearest middle, and each part is examined as if the others were other paint.
 
 use super::Candidate;
-use super::examine::{Looks, examine_part, examine_whole, figure_of, near};
+use super::examine::{examine_part, examine_whole, figure_of, near};
 use super::figure::{Figure, filled};
 use super::gates::{Gates, eccentricity};
-use super::pixel_set::PixelSet;
+use super::looks::Looks;
+use super::pixel_set::{PixelSet, region_of};
 use super::scene::{OwnPaint, Scene};
 use super::score::score;
 use crate::profile::Profile;
 use crate::segment::classify::Classifier;
 use crate::segment::label::Region;
-use autoref_raster::window::Window;
 use autoref_raster::{Patch, Pixels};
 
 /// Ground in the paint's colour has a middle every few pixels: so many are no marks that touch, and each costs an
@@ -174,38 +174,6 @@ fn smoothed(map: &[f64], width: usize) -> Vec<f64> {
     }
     let at = |i: usize| across.get(i).copied().unwrap_or(0.0);
     (0..map.len()).map(|i| blend(if i >= width { across[i - width] } else { 0.0 }, across[i], at(i + width))).collect()
-}
-
-/// The integers of a set of pixels of a patch; `None` when there are fewer than three. The outline is left at the
-/// box's: gates on it are not to be asked.
-pub(crate) fn region_of(own: &PixelSet, patch: &Patch) -> Option<Region> {
-    let width = patch.window.width;
-    let mut region: Option<Region> = None;
-    for i in own.iter() {
-        let (x, y) = (patch.window.x + i as u64 % width, patch.window.y + i as u64 / width);
-        let r = region.get_or_insert_with(|| Region {
-            first: (y, x),
-            bounds: Window::new(x, y, 1, 1),
-            area: 0,
-            sum_x: 0,
-            sum_y: 0,
-            sum_xx: 0,
-            sum_xy: 0,
-            sum_yy: 0,
-            perimeter: 0,
-        });
-        let (u, v) = (u128::from(x), u128::from(y));
-        r.bounds = r.bounds.union(&Window::new(x, y, 1, 1));
-        r.area += 1;
-        r.sum_x += u;
-        r.sum_y += v;
-        r.sum_xx += u * u;
-        r.sum_xy += u * v;
-        r.sum_yy += v * v;
-    }
-    let mut region = region.filter(|r| r.area >= 3)?;
-    region.perimeter = 2 * (region.bounds.width + region.bounds.height);
-    Some(region)
 }
 
 /// Score of a set of pixels that is known to be a mark; `None` when it has fewer than three.

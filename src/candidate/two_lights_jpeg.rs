@@ -8,12 +8,13 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 
 use super::descent::Trust;
 use super::fit::{Fit, add_priors};
-use super::jpeg_fit::{Channels, Planes, block, dot, half, planes, seen_blocks};
+use super::jpeg_fit::dot;
 use super::jpeg_noise::{Noise, class, texture};
+use super::jpeg_planes::{Channels, Planes, block, half, planes, seen_blocks};
 use super::jpeg_steps::{CELLS, Cells, Cosines, TO_YCC, Tables};
 use super::kernels::{Sample, Samples};
+use super::lights::{Centre, Lights, PAINT, PARAMETERS, Vector, light, model};
 use super::scene::{Ground, Scene};
-use super::two_lights::{Centre, Lights, PAINT, PARAMETERS, Vector, light, model};
 use crate::segment::classify::Classifier;
 
 /// Steps of least squares.

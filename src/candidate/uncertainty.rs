@@ -9,8 +9,9 @@
 //! covers but `IMG_0046`. Nothing in it knows a condition. What a strip that is lost on one side leaves open is
 //! reasoned, not fitted ([`cut_side`]).
 
-use super::fit::{Fit, Form};
+use super::fit::Fit;
 use super::jpeg_fit::Refined;
+use super::kernels::Form;
 
 /// A centre in the patch and its covariance.
 pub(super) struct Place {

@@ -7,7 +7,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::fit::{Fit, Form};
+use super::fit::Fit;
+use super::kernels::Form;
 use super::pixel_set::PixelSet;
 use super::scene::{Ground, RING_PX, Scene};
 

@@ -8,17 +8,16 @@
 use nalgebra::Vector3;
 
 use super::Candidate;
-use super::examine::{
-    Around, Evidence, Extent, Looks, candidate, figure_of, growth, near, open_if_field, settle, unfitted,
-};
+use super::evidence::{Around, Evidence, growth, settle, unfitted};
+use super::examine::{Extent, candidate, figure_of, near, open_if_field};
 use super::figure::{Figure, middle_if_plain_field};
 use super::fit::Fit;
-use super::gates::{Gates, moments_rectangle};
+use super::gates::{Gates, compactness};
 use super::local::Local;
+use super::looks::Looks;
 use super::paint_share::{Across, best_fit};
-use super::pixel_set::PixelSet;
+use super::pixel_set::{PixelSet, region_of};
 use super::scene::{OwnPaint, RING_PX, Scene};
-use super::split::region_of;
 use super::whole::{self, Whole};
 use crate::profile::colour::lab_from_srgb;
 use crate::profile::{CentreMode, Profile};
@@ -322,11 +321,4 @@ pub(super) fn off_line(fresh: [u8; 3], ground: &Vector3<f64>, paint: &Vector3<f6
     let (far, near) = nearest(&mut (COARSE..=STEPS).step_by(COARSE as usize));
     let beside = near - COARSE + 1..=(near + COARSE - 1).min(STEPS);
     far.min(nearest(&mut beside.filter(|&step| step != near)).0)
-}
-
-/// Area of a region over that of a rectangle with the same second moments, and the ratio of the larger to the smaller
-/// of these.
-pub(super) fn compactness(region: &Region) -> (f64, f64) {
-    let (rectangle_px, [larger, smaller]) = moments_rectangle(region);
-    (region.area as f64 / rectangle_px.max(0.012), larger / smaller.max(1e-6))
 }

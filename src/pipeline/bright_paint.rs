@@ -4,13 +4,12 @@
 //! large for a mark. What is nearly as bright as fresh paint in full light is a mask of its own inside the profile's,
 //! in which the mark is a region again.
 
-use crate::candidate::pixel_set::PixelSet;
-use crate::candidate::split::region_of;
+use crate::candidate::evidence::outline_of;
+use crate::candidate::pixel_set::{PixelSet, region_of};
 use crate::candidate::{Candidate, Gates, examine, inside, patch_margin_px};
 use crate::detector::Detector;
-use crate::pipeline::paint::{classify_piece, outline_of};
 use crate::profile::Profile;
-use crate::segment::classify::Classifier;
+use crate::segment::classify::{Classifier, classify_piece};
 use crate::segment::label::Region;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::mask::Mask;

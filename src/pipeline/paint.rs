@@ -1,13 +1,13 @@
 //! The detector of painted marks: profile, colour test, gates and examination under one name.
 
-use crate::candidate::examine::Evidence;
+use crate::candidate::evidence::outline_of;
 use crate::candidate::split::examine_parts;
 use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
 use crate::detector::Detector;
 use crate::pipeline::bright_paint::BrightPaint;
 use crate::pipeline::worn_paint::{WornColours, WornPaint};
 use crate::profile::Profile;
-use crate::segment::classify::{Classifier, PaintColours};
+use crate::segment::classify::{Classifier, PaintColours, classify_piece};
 use crate::segment::filters::MaskFilters;
 use crate::segment::label::Region;
 use autoref_raster::coords::PixelPoint;
@@ -155,23 +155,4 @@ impl Detector for PaintDetector {
     fn finish(&self, list: Vec<Candidate>) -> Vec<Candidate> {
         crate::candidate::prototype_options::finish(list, &self.profile)
     }
-}
-
-/// Piece → Mask, by the colour of each pixel.
-pub(super) fn classify_piece(classifier: &Classifier, piece: &Piece, mask: &mut Mask) {
-    if piece.empty {
-        return;
-    }
-    let (x, width) = (piece.window.x, piece.window.width);
-    let mut bits = vec![0u64; (width as usize).div_ceil(64)];
-    for y in piece.window.y..piece.window.bottom() {
-        classifier.classify_row(piece.row(x, y, width), &mut bits);
-        mask.put_bits(x, y, width, &bits);
-    }
-}
-
-/// Centre and outline of what was fitted.
-pub(super) fn outline_of(evidence: Evidence) -> Option<(PixelPoint, Vec<PixelPoint>)> {
-    let centre = PixelPoint { x: evidence.centre.0, y: evidence.centre.1 };
-    Some((centre, evidence.fit?.outline(centre)))
 }

@@ -3,12 +3,12 @@
 //! They are regions of another mask, of all colours on the paint's side of common grounds ([`Profile::worn`]). Much
 //! else has these colours, so shape and paint are asked for more ([`crate::candidate::worn`]).
 
+use crate::candidate::evidence::outline_of;
 use crate::candidate::worn::Worn;
 use crate::candidate::{Candidate, Gates, patch_margin_px};
 use crate::detector::Detector;
-use crate::pipeline::paint::{classify_piece, outline_of};
 use crate::profile::Profile;
-use crate::segment::classify::{Classifier, PaintColours};
+use crate::segment::classify::{Classifier, PaintColours, classify_piece};
 use crate::segment::label::Region;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;

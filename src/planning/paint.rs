@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::profile::Profile;
-use crate::segment::classify::PaintTest;
+use crate::segment::reference::PaintTest;
 use autoref_raster::error::Result;
 use autoref_raster::window::Window;
 use autoref_raster::{RasterSource, read_patch};

@@ -551,7 +551,7 @@ mod tests {
     fn the_fresh_paint_of_every_shipped_paint_is_paint() {
         for (name, _) in paint::FRESH {
             let profile = Profile::builtin(name).expect("shipped");
-            let test = crate::segment::classify::PaintTest::new(&profile).expect("valid");
+            let test = crate::segment::reference::PaintTest::new(&profile).expect("valid");
             let distance = test.nearest2(profile.fresh_paint().map(|v| f64::from(v) / 255.0)).sqrt();
             assert!(distance <= profile.colour.limit, "{name}: {:?} at {distance:.2}", profile.fresh_paint());
         }
@@ -563,7 +563,7 @@ mod tests {
         let from_lab = colour::srgb_from_lab([80.1143, 14.0786, 9.8678]);
         for name in ["lerkendal-2016", "autoref-2016"] {
             let profile = Profile::builtin(name).expect("shipped");
-            let test = crate::segment::classify::PaintTest::new(&profile).expect("valid");
+            let test = crate::segment::reference::PaintTest::new(&profile).expect("valid");
             for colour in [[232.0 / 255.0, 189.0 / 255.0, 181.0 / 255.0], [0.9080, 0.7426, 0.7113], from_lab] {
                 assert!(test.nearest2(colour).sqrt() < profile.colour.limit, "{name}: {colour:?}");
                 assert!(test.is_paint(colour.map(|v| (v * 255.0).round() as u8)), "{name}: {colour:?}");

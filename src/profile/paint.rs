@@ -213,7 +213,7 @@ impl Profile {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::segment::classify::PaintTest;
+    use crate::segment::reference::PaintTest;
 
     #[test]
     fn paints_go_by_number_in_any_writing_and_take_their_own_colours() {

@@ -117,7 +117,7 @@ fn between(direction: Vector2<f64>, least: f64, most: f64) -> CloudSpec {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::segment::classify::PaintTest;
+    use crate::segment::reference::PaintTest;
 
     /// Whatever the ground, paint that covers two fifths of it is seen, and no ground is.
     #[test]

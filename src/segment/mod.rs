@@ -17,4 +17,5 @@ pub mod classify;
 pub mod filters;
 pub mod kernels;
 pub mod label;
+pub mod reference;
 mod table;

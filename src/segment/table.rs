@@ -8,7 +8,7 @@
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-use super::classify::PaintTest;
+use super::reference::PaintTest;
 use crate::profile::colour::{Cloud, LAB_F_NEAR, LAB_KNEE, Space, lab_f, lab_f_near, lab_from_f, xyz_from_linear};
 use crate::segment::kernels::Bounds;
 use autoref_raster::srgb::linear_of_bytes;

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use anyhow::bail;
 use autoref_stream::profile::{self, Profile};
-use autoref_stream::segment::classify::PaintTest;
+use autoref_stream::segment::reference::PaintTest;
 use autoref_stream::selftest::{self, Selftest, SelftestOptions, WANTED_RECALL};
 use autoref_synth::plant::Cell;
 use autoref_synth::{Paint, Shape};
