@@ -1,9 +1,10 @@
 //! The examination of a place that answered: lines, extent, score.
 
-use super::extent::{NO_FLANKS, Rays, SMALLEST_SADDLE, extent, quarters, sample_at};
+use super::extent::{NO_FLANKS, Rays, SMALLEST_SADDLE, Seen, extent, quarters, sample_at};
 use super::fifth_arm;
-use super::fit::{Fit, Sample, Start, fit};
+use super::fit::{Fit, Start, fit};
 use super::grey::{Plane, mean_of_cell};
+use super::kernels::Sample;
 use super::response::{RINGS, Steps, direction};
 use super::{Motif, Quarters, Scale, TargetDetector};
 use crate::candidate::Candidate;
@@ -36,15 +37,6 @@ struct Answer {
     direction: f64,
     x: f64,
     y: f64,
-}
-
-/// Measurements of one target, image pixels.
-#[derive(Clone, Copy, Debug)]
-pub struct Seen {
-    pub fit: Fit,
-    pub side_px: f64,
-    /// Shortest over longest arm (or quarter).
-    pub evenness: f64,
 }
 
 pub fn examine(detector: &TargetDetector, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {

@@ -5,6 +5,15 @@ use super::grey::level;
 use super::{Motif, Quarters, TargetDetector};
 use autoref_raster::Patch;
 
+/// Measurements of one target, image pixels.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen {
+    pub fit: Fit,
+    pub side_px: f64,
+    /// Shortest over longest arm (or quarter).
+    pub evenness: f64,
+}
+
 /// Arms and quarters are followed this far from the middle, in sides of the largest target.
 pub const REACH_SIDES: f64 = 0.75;
 /// The side of a saddle's square is at least this share of the smallest asked for.

@@ -5,9 +5,10 @@
 //! cell that answers must also look like arms and plate in the whole disc about it, which costs a hundred sums and
 //! leaves three answers in a hundred.
 
-use super::examine::Seen;
-use super::fit::{Sample, Start};
+use super::extent::Seen;
+use super::fit::Start;
 use super::grey::Plane;
+use super::kernels::Sample;
 use super::response::{Around, RINGS, Ring};
 
 /// Most that the levels of arms and of plate may vary within themselves, as a share of all their variance. Of 294 drawn

@@ -8,7 +8,7 @@
 use nalgebra::{SMatrix, SVector};
 
 use super::Motif;
-use super::kernels::{self, Cells, PARAMETERS, Pose};
+use super::kernels::{self, Cells, PARAMETERS, Pose, Sample};
 use crate::candidate::descent::{End, FIRST_DAMPING, Normal, Surface, at_rest, descend};
 use crate::candidate::fit::{add_priors, correlated_scatter};
 
@@ -25,14 +25,6 @@ const MOST_LEFT_EARLY: f64 = 0.85;
 const MOST_LEFT_EARLY_SQUARE: f64 = 0.7;
 const MOST_LEFT: f64 = 0.6;
 const EARLY_ROUNDS: usize = 4;
-
-/// One cell: its middle in cells from the patch's corner, and its grey level, 0..=255.
-#[derive(Clone, Copy, Debug)]
-pub struct Sample {
-    pub x: f64,
-    pub y: f64,
-    pub level: f64,
-}
 
 /// Where a fit begins, in cells.
 #[derive(Clone, Copy, Debug)]

@@ -5,7 +5,6 @@
 #![allow(unsafe_code)]
 
 use super::Motif;
-use super::fit::Sample;
 #[cfg(target_arch = "x86_64")]
 use crate::candidate::kernels::Vectors;
 use crate::candidate::kernels::{LANES, Lanes, normal};
@@ -16,6 +15,14 @@ pub const PARAMETERS: usize = 11;
 /// Running sums side by side, so that the order of additions does not depend on the machine.
 const SUMS: usize = 8;
 const SQUARES: usize = PARAMETERS * (PARAMETERS + 1) / 2;
+
+/// One cell: its middle in cells from the patch's corner, and its grey level, 0..=255.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    pub x: f64,
+    pub y: f64,
+    pub level: f64,
+}
 
 #[derive(Clone, Copy)]
 struct Chunk {

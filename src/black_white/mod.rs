@@ -10,7 +10,7 @@ mod extent;
 mod fifth_arm;
 pub(crate) mod fit;
 pub(crate) mod grey;
-mod kernels;
+pub(crate) mod kernels;
 mod response;
 
 use crate::candidate::Candidate;
@@ -21,9 +21,9 @@ use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
 use autoref_raster::mask::Mask;
 use autoref_raster::{Block, Pixels, RasterInfo};
-pub use examine::Seen;
 #[cfg(feature = "coded")]
 pub(crate) use examine::once_each;
+pub use extent::Seen;
 use fifth_arm::Disc;
 pub use fit::Fit;
 use grey::Plane;

@@ -3,8 +3,8 @@
 use locus_core::{CornerRefinementMode, DetectorBuilder, DetectorConfig, ImageView, LocusEngine, TagFamily};
 
 use super::fit::{Fit, MOST_MODULES, Pattern, Pose, fit};
-use crate::black_white::fit::Sample;
 use crate::black_white::grey::{Plane, level, mean_of_cell};
+use crate::black_white::kernels::Sample;
 use crate::black_white::once_each;
 use crate::candidate::{Candidate, Code};
 use crate::detector::Detector;

@@ -8,7 +8,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::black_white::fit::{Sample, tukey_weights};
+use crate::black_white::fit::tukey_weights;
+use crate::black_white::kernels::Sample;
 use crate::candidate::descent::{FIRST_DAMPING, Normal, Surface, at_rest, descend};
 use crate::candidate::fit::{add_priors, correlated_scatter};
 use crate::candidate::kernels::normal;
