@@ -30,16 +30,6 @@ pub const LEVELS_PX: [f64; 9] = [0.5, 1.0, SQRT_2, 2.0, 2.0 * SQRT_2, 4.0, 4.0 *
 /// better.
 pub const CLOSEST_PX: f64 = 1.0;
 
-/// How far the prediction from the pair (a, b) may be off at `p`, relative to the error of one mark: √(1 + |1−w|² +
-/// |w|²) with w the complex position of `p` along the pair.
-pub fn spread_from_pair(a: MapPoint, b: MapPoint, p: MapPoint) -> f64 {
-    let (ux, uy) = (b.easting - a.easting, b.northing - a.northing);
-    let (vx, vy) = (p.easting - a.easting, p.northing - a.northing);
-    let square = ux * ux + uy * uy;
-    let (w_re, w_im) = ((vx * ux + vy * uy) / square, (vy * ux - vx * uy) / square);
-    (1.0 + (1.0 - w_re).powi(2) + w_im * w_im + w_re * w_re + w_im * w_im).sqrt()
-}
-
 /// log₁₀ of P[at least `hits` successes] of independent trials of the given probabilities.
 pub fn log10_tail(probabilities: &[f64], hits: usize) -> f64 {
     if hits == 0 {
@@ -282,14 +272,6 @@ mod tests {
         let (once, twice) = (of(&list(false), (0, 1)), of(&list(true), (0, 2)));
         assert_eq!((once.hits, once.gcps_in_image), (4, 4));
         assert_eq!(once, twice);
-    }
-
-    #[test]
-    fn predictions_between_the_pair_are_the_surest() {
-        let at = |e: f64, n: f64| MapPoint { easting: e, northing: n };
-        let middle = spread_from_pair(at(0.0, 0.0), at(10.0, 0.0), at(5.0, 0.0));
-        assert!((middle - 1.5f64.sqrt()).abs() < 1e-12);
-        assert!(spread_from_pair(at(0.0, 0.0), at(10.0, 0.0), at(0.0, 100.0)) > 14.0);
     }
 
     #[test]

@@ -27,6 +27,7 @@
 //! assert!(solved.pattern.pairs.iter().all(|&(candidate, gcp)| candidate == 5 - gcp));
 //! ```
 
+mod bar;
 mod bitmap;
 pub mod diagnosis;
 pub(crate) mod doubtful;
@@ -37,6 +38,8 @@ mod explain;
 mod far;
 pub mod field;
 mod grow;
+mod hypotheses;
+mod labels;
 mod looks;
 mod mirrored;
 mod names;
@@ -60,8 +63,9 @@ use crate::candidate::Candidate;
 use crate::gcp::Gcp;
 use autoref_solve::Similarity;
 
+pub use labels::{Labels, number_of_label};
 pub use mirrored::MirrorMatcher;
-pub use names::{Labels, NamesAgree, number_of_label};
+pub use names::NamesAgree;
 pub use robust::RobustMatcher;
 pub use time_limit::TimeLimit;
 pub use tpp::TppMatcher;

@@ -2,7 +2,6 @@
 
 use std::cell::OnceCell;
 
-use crate::matching::evidence::spread_from_pair;
 use crate::matching::field::Field;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::Similarity;
@@ -144,5 +143,28 @@ impl Told {
         }
         let nearest = nearest.sqrt();
         (nearest >= self.usual_place_px).then_some(nearest)
+    }
+}
+
+/// How far the prediction from the pair (a, b) may be off at `p`, relative to the error of one mark: √(1 + |1−w|² +
+/// |w|²) with w the complex position of `p` along the pair.
+pub(super) fn spread_from_pair(a: MapPoint, b: MapPoint, p: MapPoint) -> f64 {
+    let (ux, uy) = (b.easting - a.easting, b.northing - a.northing);
+    let (vx, vy) = (p.easting - a.easting, p.northing - a.northing);
+    let square = ux * ux + uy * uy;
+    let (w_re, w_im) = ((vx * ux + vy * uy) / square, (vy * ux - vx * uy) / square);
+    (1.0 + (1.0 - w_re).powi(2) + w_im * w_im + w_re * w_re + w_im * w_im).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn predictions_between_the_pair_are_the_surest() {
+        let at = |e: f64, n: f64| MapPoint { easting: e, northing: n };
+        let middle = spread_from_pair(at(0.0, 0.0), at(10.0, 0.0), at(5.0, 0.0));
+        assert!((middle - 1.5f64.sqrt()).abs() < 1e-12);
+        assert!(spread_from_pair(at(0.0, 0.0), at(10.0, 0.0), at(0.0, 100.0)) > 14.0);
     }
 }

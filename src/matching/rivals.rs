@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 
 use crate::matching::Pattern;
-use crate::matching::looks::Bar;
+use crate::matching::bar::Bar;
 use crate::matching::pairs::GcpPair;
 use crate::matching::repetition::{Repetition, Way};
 use crate::matching::robust::{REPETITION_LOG10, RUNNER_UP_GAP};

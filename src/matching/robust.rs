@@ -11,7 +11,7 @@ use crate::candidate::Candidate;
 use crate::gcp::{Gcp, GcpRole};
 use crate::matching::explain::explain;
 use crate::matching::grow::GROWN_FROM;
-use crate::matching::names::Names;
+use crate::matching::labels::Names;
 use crate::matching::pairs::GcpPair;
 use crate::matching::repetition::Repetition;
 use crate::matching::search::{Hypothesis, LONG, LOOKS_OF_ONE, REFINED_PER_PAIR, Search, Tried};

@@ -1,18 +1,13 @@
-//! The search through pairs: which hypotheses there are, in what order, and a quick look at each.
-
-use std::borrow::Cow;
-use std::cell::OnceCell;
-
-use rayon::prelude::*;
+//! The search through pairs: which hypotheses there are, in what order, and what each of them hits.
 
 use crate::candidate::Candidate;
 use crate::matching::Priors;
 use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
-use crate::matching::evidence::{CLOSEST_PX, log10_of_levels, log10_tail, spread_from_pair};
+use crate::matching::evidence::{CLOSEST_PX, log10_of_levels, log10_tail};
 use crate::matching::field::Field;
-use crate::matching::looks::{Bar, Looking};
-use crate::matching::names::Names;
+use crate::matching::labels::Names;
 use crate::matching::pairs::{GcpPair, gcp_pairs};
+use crate::matching::predictions::spread_from_pair;
 use crate::matching::screening::Screening;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::Similarity;
@@ -26,13 +21,8 @@ const CHANCE_HIT: f64 = 0.02;
 pub(super) const REFINED_PER_PAIR: usize = 6;
 /// From so many candidates on, pairs of GCPs are weighed before they are tried.
 const CROWD: usize = 3000;
-/// From so many hypotheses on, the points of a pair are shared out: waking a thread takes as long as some hundreds of
-/// them.
-const WORTH_THREADS: u64 = 10_000;
 /// Looks at other GCPs of which one takes as long as the rest of a hypothesis.
 pub(super) const LOOKS_OF_ONE: u64 = 16;
-/// Where a first end has fewer second ends, hypotheses with different first ends are looked at together.
-const FEW_ENDS: usize = 16;
 /// How often a search that tries pairs in a random order may miss a pattern that could be believed.
 const PATTERN_MISSED: f64 = 0.01;
 /// From so many points on hypotheses of a known scale are dropped too that hit nothing with their first looks, ...
@@ -234,80 +224,6 @@ impl<'a> Search<'a> {
         telling
     }
 
-    /// The most surprising hypotheses about one pair of GCPs, best first, and what was tried: all, or from evenly
-    /// chosen points about as many as `budget` allows. In a crowd a single pair can have billions. For `first_looks`
-    /// see [`Screening`].
-    pub fn try_pair(&self, pair: &GcpPair, first_looks: usize, budget: u64) -> (Vec<Hypothesis>, Tried) {
-        self.try_pair_within(self.tolerance_px, pair, (first_looks, Bar::of(REFINED_PER_PAIR)), budget)
-    }
-
-    /// The same of each pair, without what stays below a bar.
-    pub fn try_pairs(&self, pairs: &[GcpPair], looks: (usize, &Bar<'_>), budget: u64) -> Vec<(Vec<Hypothesis>, Tried)> {
-        match pairs {
-            [pair] => vec![self.try_pair_above(pair, looks, pair.worth(budget))],
-            pairs => pairs.par_iter().map(|pair| self.try_pair_above(pair, looks, u64::MAX)).collect(),
-        }
-    }
-
-    fn try_pair_above(
-        &self,
-        pair: &GcpPair,
-        (first_looks, above): (usize, &Bar<'_>),
-        budget: u64,
-    ) -> (Vec<Hypothesis>, Tried) {
-        self.try_pair_within(self.tolerance_px, pair, (first_looks, Bar::under(above, REFINED_PER_PAIR)), budget)
-    }
-
-    /// The same with a tolerance for the error of one mark, pixels, and a bar of the pair's own.
-    pub fn try_pair_within(
-        &self,
-        tolerance_px: f64,
-        pair: &GcpPair,
-        (first_looks, bar): (usize, Bar<'_>),
-        budget: u64,
-    ) -> (Vec<Hypothesis>, Tried) {
-        let targets = self.targets(pair, tolerance_px);
-        let fewest = self.fewest_hits(&targets, tolerance_px);
-        if targets.len() < fewest {
-            return (Vec::new(), Tried::default());
-        }
-        let demand = Demand { fewest, first_looks };
-        if pair.cost < (FEW_ENDS * self.field.points().len()) as f64 && pair.hypotheses() <= budget {
-            let mut looking = Looking::new(self, pair, (demand, &bar));
-            for i in 0..self.field.points().len() {
-                self.ends_of(pair, i, |j, _| looking.take(&targets, (i, j)));
-            }
-            return looking.best(&targets);
-        }
-        let per_point = |i: usize| self.try_point(pair, &targets, (demand, &bar), i);
-        self.over_chosen_points(pair, budget, per_point, keep_best)
-    }
-
-    /// The best of what `each` finds with points at the first end of a pair, and how many hypotheses it tried: with all
-    /// points, or evenly chosen with about as many as the budget of hypotheses allows. They are joined in any order:
-    /// `keep_best` must go by a total one.
-    pub fn over_chosen_points<T: Send>(
-        &self,
-        pair: &GcpPair,
-        budget: u64,
-        each: impl Fn(usize) -> (Vec<T>, Tried) + Send + Sync,
-        keep_best: fn(&mut Vec<T>),
-    ) -> (Vec<T>, Tried) {
-        let points = self.field.points().len();
-        let affordable = (budget as f64 / pair.cost.max(1.0) * points as f64).min(points as f64) as usize;
-        let chosen = |k: usize| each(k * points / affordable);
-        let join = |(mut one, n): (Vec<T>, Tried), (other, m): (Vec<T>, Tried)| {
-            one.extend(other);
-            keep_best(&mut one);
-            (one, n + m)
-        };
-        let looks = 1 + self.gcps.len() as u64 / LOOKS_OF_ONE;
-        if pair.hypotheses().min(budget) * looks < WORTH_THREADS {
-            return (0..affordable).map(chosen).fold((Vec::new(), Tried::default()), join);
-        }
-        (0..affordable).into_par_iter().map(chosen).reduce(|| (Vec::new(), Tried::default()), join)
-    }
-
     /// Calls `visit` with every point that the priors allow at the second end of a pair when `i` is at the first.
     #[inline]
     pub fn ends_of(&self, pair: &GcpPair, i: usize, mut visit: impl FnMut(usize, PixelPoint)) {
@@ -321,30 +237,6 @@ impl<'a> Search<'a> {
                 visit(j, to);
             }
         });
-    }
-
-    /// The same with no other points than these at the two ends of the pair, and without what stays below a bar.
-    pub fn try_pair_among(
-        &self,
-        pair: &GcpPair,
-        points: &[usize],
-        (first_looks, above): (usize, &Bar<'_>),
-    ) -> (Vec<Hypothesis>, Tried) {
-        let targets = self.targets(pair, self.tolerance_px);
-        let demand = Demand { fewest: self.fewest_hits(&targets, self.tolerance_px), first_looks };
-        if targets.len() < demand.fewest {
-            return (Vec::new(), Tried::default());
-        }
-        let bar = Bar::under(above, REFINED_PER_PAIR);
-        let mut looking = Looking::new(self, pair, (demand, &bar));
-        for &i in points.iter().filter(|i| self.allows(**i, pair.a)) {
-            let from = self.field.points()[i];
-            let ends = points
-                .iter()
-                .filter(|&&j| j != i && self.allows(j, pair.b) && self.may_span(pair, from, self.field.points()[j]));
-            ends.for_each(|&j| looking.take(&targets, (i, j)));
-        }
-        looking.best(&targets)
     }
 
     /// Other GCPs as a hypothesis about `pair` predicts them, most certain first.
@@ -395,37 +287,9 @@ impl<'a> Search<'a> {
             .min(MOST)
     }
 
-    fn try_point(
-        &self,
-        pair: &GcpPair,
-        targets: &[Target],
-        (demand, bar): (Demand, &Bar<'_>),
-        i: usize,
-    ) -> (Vec<Hypothesis>, Tried) {
-        if !self.allows(i, pair.a) {
-            return (Vec::new(), Tried::default());
-        }
-        let from = self.field.points()[i];
-        // Most points have no second end at all.
-        let in_reach = OnceCell::new();
-        let mut looking = None;
-        let (left, right, up, down) = self.sector(pair);
-        self.field.in_box((from.x + left, from.x + right), (from.y + up, from.y + down), |j, to| {
-            if i == j || !self.allows(j, pair.b) || !self.may_span(pair, from, to) {
-                return;
-            }
-            let targets = in_reach.get_or_init(|| self.in_reach(pair, targets, from));
-            if targets.len() < demand.fewest {
-                return;
-            }
-            looking.get_or_insert_with(|| Looking::new(self, pair, (demand, bar))).take(targets, (i, j));
-        });
-        looking.zip(in_reach.get()).map_or_else(Default::default, |(looking, targets)| looking.best(targets))
-    }
-
     /// Whether the priors allow points at these places to be a pair.
     #[inline]
-    fn may_span(&self, pair: &GcpPair, from: PixelPoint, to: PixelPoint) -> bool {
+    pub(super) fn may_span(&self, pair: &GcpPair, from: PixelPoint, to: PixelPoint) -> bool {
         let (low, high) = pair.reach_px;
         let (x, y) = (to.x - from.x, to.y - from.y);
         let d2 = x * x + y * y;
@@ -440,23 +304,8 @@ impl<'a> Search<'a> {
         Span { east, north, square: east * east + north * north }
     }
 
-    /// The targets that can be in the field at all when `a` is at `from`, whatever the rotation: at the finest scale
-    /// they must not lie beyond the farthest corner.
-    fn in_reach<'t>(&self, pair: &GcpPair, targets: &'t [Target], from: PixelPoint) -> Cow<'t, [Target]> {
-        let origin = self.field.origin();
-        let (right, bottom) = (origin.x + self.field.width_px, origin.y + self.field.height_px);
-        let farthest = (from.x - origin.x).max(right - from.x).hypot((from.y - origin.y).max(bottom - from.y));
-        // A hair more, so that rounding decides nothing.
-        let farthest_m = farthest * pair.length_m / pair.reach_px.0 * (1.0 + 1e-9);
-        let reached = |t: &Target| t.east * t.east + t.north * t.north <= farthest_m * farthest_m;
-        if targets.iter().all(reached) {
-            return Cow::Borrowed(targets);
-        }
-        targets.iter().filter(|t| reached(t)).copied().collect::<Vec<_>>().into()
-    }
-
     /// Bounds of `to − from`, pixels, that scale and rotation priors allow: left, right, up, down.
-    fn sector(&self, pair: &GcpPair) -> (f64, f64, f64, f64) {
+    pub(super) fn sector(&self, pair: &GcpPair) -> (f64, f64, f64, f64) {
         let (low, high) = pair.reach_px;
         let Some((centre, half)) = self.priors.rotation_deg.filter(|(_, half)| *half < 90.0) else {
             return (-high, high, -high, high);

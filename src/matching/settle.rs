@@ -3,8 +3,8 @@
 use rayon::prelude::*;
 
 use crate::matching::Pattern;
-use crate::matching::evidence::spread_from_pair;
 use crate::matching::pairs::GcpPair;
+use crate::matching::predictions::spread_from_pair;
 use crate::matching::search::{Hypothesis, Search};
 use autoref_raster::coords::PixelPoint;
 use autoref_solve::Similarity;

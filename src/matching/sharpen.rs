@@ -2,10 +2,11 @@
 //! pattern that is no accident either; most of the true ones agree far more closely without them.
 
 use crate::matching::Pattern;
-use crate::matching::evidence::{CLOSEST_PX, spread_from_pair};
+use crate::matching::bar::Bar;
+use crate::matching::evidence::CLOSEST_PX;
 use crate::matching::far::root_mean_square;
-use crate::matching::looks::Bar;
 use crate::matching::pairs::GcpPair;
+use crate::matching::predictions::spread_from_pair;
 use crate::matching::screening::Screening;
 use crate::matching::search::{Hypothesis, REFINED_PER_PAIR, Search};
 use crate::matching::settle::{FEWEST_NEAR, centre_and_spread, tolerance_px};

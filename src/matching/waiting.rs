@@ -4,7 +4,7 @@
 //! fewer. Then the best of several pairs are refined together: a pattern that could be believed hits far more than
 //! chance does and stands at their head.
 
-use crate::matching::looks::Bar;
+use crate::matching::bar::Bar;
 use crate::matching::pairs::GcpPair;
 use crate::matching::search::{Hypothesis, REFINED_PER_PAIR};
 

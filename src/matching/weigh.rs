@@ -1,8 +1,9 @@
 //! A pattern's worth: the smallest number of false alarms over its own pairs and the tolerances.
 
 use crate::matching::Pattern;
-use crate::matching::evidence::{LEVELS_PX, Line, PairEvidence, evidence_of, spread_from_pair};
+use crate::matching::evidence::{LEVELS_PX, Line, PairEvidence, evidence_of};
 use crate::matching::far::root_mean_square;
+use crate::matching::predictions::spread_from_pair;
 use crate::matching::predictions::{Counted, Predictions};
 use crate::matching::search::Search;
 use crate::matching::settle::FEWEST_NEAR;
