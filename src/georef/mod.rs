@@ -13,6 +13,7 @@ pub mod dialects;
 pub mod exif;
 pub mod gcps_vrt;
 pub mod heights;
+pub mod output;
 pub mod sidecar;
 pub mod spreadsheet;
 pub mod tags;

@@ -3,11 +3,10 @@
 //! Files are made under temporary names first ([`WriteRequest::stage`]); only when all of them exist are they renamed,
 //! and the image's own tags switched ([`Transaction::commit`]). A failure at any point leaves what was there before.
 
-use std::fmt;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
 use crate::georef::dialects::{self, TiePoints};
+use crate::georef::output::Output;
 use crate::georef::{exif, gcps_vrt, sidecar, tags, warp};
 use crate::result::RunResult;
 use autoref_raster::atomic::{self, Existing, Transaction};
@@ -18,84 +17,7 @@ use autoref_raster::error::{Error, Result};
 use autoref_raster::protected::same_file;
 use autoref_raster::tile_folder;
 
-/// One kind of output: `--write KIND,…`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Output {
-    World,
-    Aux,
-    Vrt,
-    Tags,
-    Warp,
-    Exif,
-    Gcps,
-    Points,
-    GcpList,
-    GeoJson,
-    Csv,
-    MicMac,
-    Metashape,
-    Pix4d,
-}
-
 impl Output {
-    /// All of them, in the order in which they are written.
-    pub const ALL: [Output; 14] = [
-        Output::World,
-        Output::Aux,
-        Output::Vrt,
-        Output::Tags,
-        Output::Warp,
-        Output::Exif,
-        Output::Gcps,
-        Output::Points,
-        Output::GcpList,
-        Output::GeoJson,
-        Output::Csv,
-        Output::MicMac,
-        Output::Metashape,
-        Output::Pix4d,
-    ];
-
-    /// As the command line names it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Output::World => "world",
-            Output::Aux => "aux",
-            Output::Vrt => "vrt",
-            Output::Tags => "tags",
-            Output::Warp => "warp",
-            Output::Exif => "exif",
-            Output::Gcps => "gcps",
-            Output::Points => "points",
-            Output::GcpList => "gcp-list",
-            Output::GeoJson => "geojson",
-            Output::Csv => "csv",
-            Output::MicMac => "micmac",
-            Output::Metashape => "metashape",
-            Output::Pix4d => "pix4d",
-        }
-    }
-
-    /// One line for the help.
-    pub fn describe(self) -> &'static str {
-        match self {
-            Output::World => "world file (no CRS)",
-            Output::Aux => "GDAL's .aux.xml: transform and CRS",
-            Output::Vrt => "GDAL virtual raster with transform and CRS",
-            Output::Tags => "GeoTIFF tags in the image itself; `autoref-stream undo` takes them back",
-            Output::Warp => "north-up Cloud Optimized GeoTIFF",
-            Output::Exif => "copy of a JPEG with place, direction and transform in its EXIF",
-            Output::Gcps => "GDAL virtual raster with the tie points",
-            Output::Points => "QGIS Georeferencer .points",
-            Output::GcpList => "OpenDroneMap gcp_list.txt",
-            Output::GeoJson => "marks, GCPs and residuals as GeoJSON",
-            Output::Csv => "tie points as CSV",
-            Output::MicMac => "MicMac appuis and mesures XML",
-            Output::Metashape => "Agisoft Metashape markers",
-            Output::Pix4d => "Pix4D GCPs and marks",
-        }
-    }
-
     /// The files of this kind beside `base`. None for tags, which go into the image.
     pub fn files(self, base: &Path) -> Vec<PathBuf> {
         match self {
@@ -108,22 +30,6 @@ impl Output {
             Output::Gcps => vec![base.with_extension("gcps.vrt")],
             _ => dialects::files(self, base),
         }
-    }
-}
-
-impl fmt::Display for Output {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for Output {
-    type Err = String;
-    fn from_str(text: &str) -> std::result::Result<Self, String> {
-        Output::ALL.into_iter().find(|kind| kind.name().eq_ignore_ascii_case(text.trim())).ok_or_else(|| {
-            let names: Vec<&str> = Output::ALL.iter().map(|kind| kind.name()).collect();
-            format!("`{text}` is no kind of output; choose from {}", names.join(", "))
-        })
     }
 }
 

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::candidate::Candidate;
 use crate::detector::Detector;
-use crate::report::chips::{Frame, Spot};
+use crate::report::frame::{Frame, Spot};
 use autoref_raster::window::Window;
 use autoref_raster::{Block, Piece, PieceData, PooledBytes, RasterInfo, Samples};
 

@@ -7,13 +7,15 @@
 //! over the network, and a content security policy in it says so to the browser.
 
 mod chips;
+mod frame;
 mod jpeg;
 mod kept_pixels;
 mod layout_warnings;
 mod overview;
 mod points;
 
-pub use chips::{Chip, Spot, cut};
+pub use chips::{Chip, cut};
+pub use frame::Spot;
 pub use kept_pixels::KeptPixels;
 pub use layout_warnings::plain_warnings;
 pub use overview::{Overview, Rgb8, Stretch};

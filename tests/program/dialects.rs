@@ -6,7 +6,7 @@ use std::process::{Command, Output as Finished};
 
 use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
 use autoref_stream::gcp::{self, GcpList, GcpOptions, GcpRole};
-use autoref_stream::georef::write::Output;
+use autoref_stream::georef::output::Output;
 use autoref_synth::{self as synth, Compression, MarkSize, MarkStyle, SynthSpec, Visible};
 use serde_json::Value;
 

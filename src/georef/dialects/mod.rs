@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use crate::gcp::convert::{ListFormat, names};
 use crate::gcp::programs::{NoHeight, pix4d_has_accuracies};
 use crate::gcp::{Gcp, GcpRole};
-use crate::georef::write::Output;
+use crate::georef::output::Output;
 use crate::result::RunResult;
 use autoref_raster::coords::{GeoTransform, PixelPoint};
 use autoref_raster::crs::Crs;

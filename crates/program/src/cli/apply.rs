@@ -6,8 +6,8 @@ use anyhow::bail;
 use autoref_raster as raster;
 use autoref_raster::atomic::Transaction;
 use autoref_raster::memory_plan;
+use autoref_stream::georef::output::Output;
 use autoref_stream::georef::transfer::{self, Edges};
-use autoref_stream::georef::write::Output;
 use autoref_stream::result::RunResult;
 use clap::Args;
 
