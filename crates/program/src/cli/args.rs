@@ -13,6 +13,7 @@ use clap::{Args, ValueEnum};
 
 use crate::cli::accuracy::AccuracyArgs;
 use crate::cli::patterns::PatternArgs;
+use crate::cli::solving::SolvingArgs;
 use crate::cli::values::{Bytes, Gsd, MarkSize, memory_budget, seconds};
 use crate::cli::working_crs::{self, WorkingCrsArgs};
 
@@ -251,4 +252,36 @@ pub enum PriorArg {
 pub enum MatcherArg {
     Robust,
     Tpp,
+}
+
+/// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
+#[derive(Args, Debug)]
+pub struct SolveArgs {
+    /// CSV with the columns x and y (pixels; (0, 0) is the outer corner of the first pixel); score, covariance, size
+    /// and elevation are used when there. With --patch: the result of a run (NAME.autoref.json).
+    pub candidates: PathBuf,
+    /// Replay what a review changed: the patch file that the page of --report saved. Needs no --gcps.
+    #[arg(long, value_name = "FILE")]
+    pub patch: Option<PathBuf>,
+    /// Write the result here, as JSON. Without it nothing is written.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// Width and height of the image, in pixels; tells which GCPs must be visible. Default: the candidates' extent.
+    #[arg(long, value_name = "W,H", value_delimiter = ',', num_args = 1)]
+    pub size: Vec<f64>,
+    /// Replace an existing result.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Print the result as one JSON document instead of the summary.
+    #[arg(long)]
+    pub json: bool,
+    /// Print nothing but errors.
+    #[arg(long)]
+    pub quiet: bool,
+    #[command(flatten)]
+    pub gcps: GcpArgs,
+    #[command(flatten)]
+    pub matching: MatchArgs,
+    #[command(flatten)]
+    pub solving: SolvingArgs,
 }

@@ -16,7 +16,8 @@ use autoref_raster::output_folder::OutputFolder;
 use clap::Args;
 use serde_json::{Value, json};
 
-use super::cloud::{Begun, Cameras, MeansArgs};
+use super::cloud_cameras::Cameras;
+use super::cloud_means::{Begun, MeansArgs};
 use autoref_cloud::io::stem;
 
 /// Classify noise and ground, step by step in the order written; every step is done only when it is asked for.

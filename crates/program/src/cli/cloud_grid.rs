@@ -10,7 +10,8 @@ use autoref_raster::atomic::{self, Existing};
 use autoref_raster::output_folder::OutputFolder;
 use clap::Args;
 
-use super::cloud::{Cameras, MeansArgs};
+use super::cloud_cameras::Cameras;
+use super::cloud_means::MeansArgs;
 use autoref_raster::words::counted;
 
 /// Grid clouds: one Cloud Optimized GeoTIFF for each dimension and statistic, and one with its holes filled.

@@ -1,6 +1,7 @@
 //! `autoref-stream flight …`: from frames to cameras that know where they stood.
 
 mod adjust;
+mod called;
 mod camera_tables;
 pub(super) mod click;
 mod document;
@@ -19,10 +20,12 @@ mod refine;
 mod relative;
 mod runs;
 mod solve;
+mod stage;
 mod stage_pages;
 mod stages;
 mod ties;
 pub(super) mod views;
+mod worlds;
 
 use autoref_raster::atomic::Existing;
 use autoref_raster::words::some_of;

@@ -9,8 +9,10 @@ pub mod apply;
 pub mod args;
 pub mod chips;
 pub mod cloud;
+mod cloud_cameras;
 mod cloud_clean;
 mod cloud_grid;
+mod cloud_means;
 pub mod compare_solvers;
 pub mod dem;
 pub mod detect;
@@ -26,6 +28,7 @@ mod film_resample;
 pub mod flight;
 pub mod gcps;
 pub mod inputs;
+mod lengths;
 pub mod mask;
 mod mask_camera;
 mod mask_light;
@@ -91,7 +94,7 @@ pub enum Command {
     /// Find the marks in an image and write the candidates as CSV or GeoJSON.
     Detect(Box<detect::DetectArgs>),
     /// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
-    Solve(Box<solve::SolveArgs>),
+    Solve(Box<args::SolveArgs>),
     Synth(Box<synth::SynthArgs>),
     Sample(sample::Args),
     Chips(chips::Args),

@@ -20,9 +20,9 @@ use autoref_stream::report;
 use autoref_stream::result::RunResult;
 
 use crate::cli::accuracy;
+use crate::cli::args::SolveArgs;
 use crate::cli::document::{Document, NO_MARK_THERE};
 use crate::cli::run;
-use crate::cli::solve::SolveArgs;
 use crate::cli::solving;
 use autoref_raster::words::counted;
 

@@ -15,9 +15,9 @@ use autoref_stream::report::{self, Gathered, HeightArrow, KeptPixels, Overview, 
 use autoref_stream::result::{MatchRow, RunResult, SolvedRun};
 use clap::Args;
 
+use crate::cli::lengths::length;
 use crate::cli::progress::Bar;
 use crate::cli::residual_analysis;
-use crate::cli::summary::length;
 
 #[derive(Args, Debug)]
 pub struct ReportArgs {

@@ -1,7 +1,6 @@
 //! `autoref-stream solve`: from two lists to an orientation, without an image.
 
 use autoref_raster::atomic::Existing;
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -9,49 +8,16 @@ use autoref_stream::gcp;
 use autoref_stream::georef::candidate_list;
 use autoref_stream::matching::Priors;
 use autoref_stream::pipeline::georeference::solve_candidates;
-use clap::Args;
 
 use crate::cli::accuracy::{self, extent};
-use crate::cli::args::{GcpArgs, MatchArgs};
+use crate::cli::args::SolveArgs;
 use crate::cli::diagnosis;
 use crate::cli::document::Document;
 use crate::cli::prepare::{self, Shared};
 use crate::cli::replay;
 use crate::cli::run;
-use crate::cli::solving::{ImagePlace, SolvingArgs};
+use crate::cli::solving::ImagePlace;
 use crate::cli::working_crs;
-
-/// Match a list of candidates to a list of GCPs and solve the orientation; needs no image.
-#[derive(Args, Debug)]
-pub struct SolveArgs {
-    /// CSV with the columns x and y (pixels; (0, 0) is the outer corner of the first pixel); score, covariance, size
-    /// and elevation are used when there. With --patch: the result of a run (NAME.autoref.json).
-    pub candidates: PathBuf,
-    /// Replay what a review changed: the patch file that the page of --report saved. Needs no --gcps.
-    #[arg(long, value_name = "FILE")]
-    pub patch: Option<PathBuf>,
-    /// Write the result here, as JSON. Without it nothing is written.
-    #[arg(short, long, value_name = "FILE")]
-    pub output: Option<PathBuf>,
-    /// Width and height of the image, in pixels; tells which GCPs must be visible. Default: the candidates' extent.
-    #[arg(long, value_name = "W,H", value_delimiter = ',', num_args = 1)]
-    pub size: Vec<f64>,
-    /// Replace an existing result.
-    #[arg(long)]
-    pub overwrite: bool,
-    /// Print the result as one JSON document instead of the summary.
-    #[arg(long)]
-    pub json: bool,
-    /// Print nothing but errors.
-    #[arg(long)]
-    pub quiet: bool,
-    #[command(flatten)]
-    pub gcps: GcpArgs,
-    #[command(flatten)]
-    pub matching: MatchArgs,
-    #[command(flatten)]
-    pub solving: SolvingArgs,
-}
 
 pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     let started = Instant::now();

@@ -21,7 +21,7 @@ use autoref_stream::result::{
 use clap::{Args, ValueEnum};
 
 use crate::cli::document::NO_MARK_THERE;
-use crate::cli::summary::length;
+use crate::cli::lengths::length;
 
 #[derive(Args, Debug)]
 pub struct SolvingArgs {

@@ -7,6 +7,7 @@ use autoref_stream::matching::diagnosis::{Certainty, Diagnosis};
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
 use autoref_stream::result::{Misfit, RefusedRun, RunOutcome, RunResult, SolvedRun};
 
+use crate::cli::lengths::length;
 use crate::cli::{accuracy, solving};
 use autoref_raster::words::counted;
 
@@ -63,11 +64,6 @@ impl Lines {
         // A name may hold line ends.
         writeln!(self.0, "{label:<16}{}", crate::printable(&value)).expect("a string takes all writes");
     }
-}
-
-/// Millimetres below a metre.
-pub(super) fn length(metres: f64) -> String {
-    if metres.abs() < 1.0 { format!("{:.1} mm", 1000.0 * metres) } else { format!("{metres:.3} m") }
 }
 
 /// A direction against east, with the sense in words.

@@ -15,7 +15,7 @@ use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::units::FOOT_M;
 use nalgebra::Vector3;
 
-use super::lists::{DATUM_M, height_unit_m};
+use super::worlds::{DATUM_M, height_unit_m};
 
 /// What a block without GCPs cannot say.
 pub const NO_GCPS: &str = "no GCPs: the positions of the table place the block; what is wrong with all of them alike (the \

@@ -10,7 +10,7 @@ use autoref_raster::output_folder::OutputFolder;
 
 use super::project::{OrderedFrames, Project, ordered_frames, point_args, read_project};
 use super::runs;
-use super::{check_output, image_size, lists, views};
+use super::{called, check_output, image_size, lists, views, worlds};
 
 /// Size of a pixel on the film where none is stated: any will do, MicMac's focal length is in the same millimetres.
 pub const PIXEL_MM: f64 = 0.01;
@@ -84,7 +84,7 @@ pub fn files(
         let observations = gcps.observations.as_ref().map(|o| base.join(o));
         let control = lists::load(&list, observations.as_deref(), project.crs.as_deref(), None)?;
         let [unit_m, height_unit_m] =
-            control.crs.as_ref().map_or([1.0; 2], |crs| [crs.metres_per_unit(), lists::height_unit_m(crs)]);
+            control.crs.as_ref().map_or([1.0; 2], |crs| [crs.metres_per_unit(), worlds::height_unit_m(crs)]);
         if (unit_m / height_unit_m - 1.0).abs() > 1e-4 {
             bail!(
                 "{}: its heights count in another unit ({height_unit_m} m) than its eastings ({unit_m} m), and MicMac \
@@ -97,7 +97,7 @@ pub fn files(
         let points: Vec<SurveyedPoint> = control
             .points
             .into_iter()
-            .filter(|p| !p.check && !gcps.check.iter().any(|wanted| lists::is_called(&p.name, wanted)))
+            .filter(|p| !p.check && !gcps.check.iter().any(|wanted| called::is_called(&p.name, wanted)))
             .map(|p| SurveyedPoint {
                 sigma_m: p.sigma_or(gcps.sigma_ground_m).map(|m| m / unit_m),
                 name: p.name,

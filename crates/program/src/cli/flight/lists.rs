@@ -8,13 +8,15 @@ use autoref_flight::adjust::{GroundPoint, Role};
 use autoref_flight::read::image_points;
 use autoref_flight::read::tables::CameraRow;
 use autoref_flight::read::{self, Reconstruction, micmac, opensfm, same_image};
-use autoref_flight::world::{Geodesy, World};
+use autoref_flight::world::World;
 use autoref_raster::bounded;
-use autoref_raster::crs::{Coordinate, Crs, Way};
+use autoref_raster::crs::{Coordinate, Crs};
 use autoref_stream::gcp::{self, GcpOptions, GcpRole};
 use nalgebra::Vector3;
 
+use super::called::is_called;
 use super::frames;
+use super::worlds::{DATUM_M, height_unit_m, is_wgs84, world_of};
 
 /// GCPs on the ground and in the images.
 #[derive(Debug, clap::Args)]
@@ -80,100 +82,15 @@ pub struct Control {
     pub no_image_points: Option<String>,
 }
 
-/// Both ways, found once: every point of a block takes them.
-struct Proj {
-    there: Way,
-    back: Way,
-    units: Units,
-}
-
-/// What coordinates count in: a unit of the map's plan in units of its CRS and in metres, and one of heights in metres.
-#[derive(Clone, Copy)]
-struct Units {
-    of_crs: f64,
-    plan_m: f64,
-    height_m: f64,
-}
-
-impl Units {
-    fn of(crs: &Crs) -> Self {
-        Units { of_crs: 1.0, plan_m: crs.metres_per_unit(), height_m: height_unit_m(crs) }
-    }
-    /// Metres throughout, whatever the CRS counts in.
-    fn metres(crs: &Crs) -> Self {
-        Units { of_crs: 1.0 / crs.metres_per_unit(), plan_m: 1.0, height_m: 1.0 }
-    }
-}
-
-/// Metres in a unit of a system's heights: of its vertical axis, else of the horizontal ones, else (degrees) the metre.
-pub fn height_unit_m(crs: &Crs) -> f64 {
-    let plan_m = if crs.is_geographic() { 1.0 } else { crs.metres_per_unit() };
-    crs.height_metres_per_unit().unwrap_or(plan_m)
-}
-
 /// 1σ of GCPs on the ground where nothing is stated, metres.
 pub const DEFAULT_SIGMA_GROUND_M: f64 = 25.0;
 
 /// Positions of cameras that fix a datum.
 const LEAST_POSITIONS: usize = 3;
 
-/// Of a map's datum against WGS 84, metres: a block's shape does not depend on it.
-pub const DATUM_M: f64 = 100.0;
-
-impl Proj {
-    fn around(crs: &Crs, units: Units, centre: [f64; 3]) -> Result<Self> {
-        let earth = Crs::from_epsg(4326)?;
-        let mut at = [Coordinate { x: centre[0] * units.of_crs, y: centre[1] * units.of_crs, height: None }];
-        let there = crs.way(&at, &earth, DATUM_M)?;
-        there.transform(&mut at)?;
-        Ok(Proj { there, back: earth.way(&at, crs, DATUM_M)?, units })
-    }
-}
-
-impl Geodesy for Proj {
-    fn to_geographic(&self, map: [f64; 3]) -> Option<[f64; 3]> {
-        let Units { of_crs, height_m, .. } = self.units;
-        let mut p = [Coordinate { x: map[0] * of_crs, y: map[1] * of_crs, height: None }];
-        self.there.transform(&mut p).ok()?;
-        Some([p[0].x, p[0].y, map[2] * height_m])
-    }
-    fn map_of_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
-        let mut p = [Coordinate { x: g[0], y: g[1], height: None }];
-        self.back.transform(&mut p).ok()?;
-        let Units { of_crs, height_m, .. } = self.units;
-        Some([p[0].x / of_crs, p[0].y / of_crs, g[2] / height_m])
-    }
-    fn units_m(&self) -> [f64; 2] {
-        [self.units.plan_m, self.units.height_m]
-    }
-}
-
-/// Whether a point is called so, or as a pattern with `*` says.
-pub fn is_called(name: &str, wanted: &str) -> bool {
-    name == wanted || super::project::matches_pattern(name, wanted)
-}
-
 /// Whether the word means a plane.
 pub fn is_local(crs: &str) -> bool {
     crs.trim().eq_ignore_ascii_case("local")
-}
-
-/// The world about a place in the units of its CRS.
-pub fn world_of(crs: Option<&Crs>, centre: [f64; 3]) -> Result<World> {
-    match crs.filter(|c| !c.is_local()) {
-        None => Ok(World::flat(centre)),
-        Some(crs) => curved(crs, Units::of(crs), centre),
-    }
-}
-
-/// The world about a place of the map that is given in metres, as all others are to be.
-pub fn metric_world_of(crs: &Crs, centre_m: [f64; 3]) -> Result<World> {
-    if crs.is_local() { Ok(World::flat(centre_m)) } else { curved(crs, Units::metres(crs), centre_m) }
-}
-
-fn curved(crs: &Crs, units: Units, centre: [f64; 3]) -> Result<World> {
-    let world = Proj::around(crs, units, centre).ok().and_then(|proj| World::curved(Box::new(proj), centre));
-    world.with_context(|| format!("{}: the points lie outside it; give --crs", crs.title()))
 }
 
 impl Control {
@@ -559,11 +476,6 @@ fn metric(mut points: Vec<ListPoint>, crs: Option<Crs>) -> Result<Control> {
         p.xyz = [at[0].x, at[0].y, p.xyz[2] * height_unit_m(&geographic) / height_unit_m(&utm)];
     }
     Ok(Control { points, crs: Some(utm), listed_in: Some(geographic), ..Control::default() })
-}
-
-/// Whether a system is the longitudes and latitudes of WGS 84.
-pub fn is_wgs84(crs: &Crs) -> bool {
-    crs.is_geographic() && matches!(crs.epsg(), Some(4326 | 4979))
 }
 
 fn of_opensfm(list: &Path, model: &Reconstruction) -> Result<Control> {

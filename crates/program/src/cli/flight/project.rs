@@ -10,6 +10,7 @@ use autoref_flight::read::tables::{Angles, CameraRow};
 use autoref_flight::read::{FARTHEST, same_image};
 use serde::{Deserialize, Serialize};
 
+use super::called::matches_pattern;
 use super::{camera_tables, interior, lists, views};
 use autoref_raster::words::counted;
 
@@ -149,24 +150,6 @@ pub fn default_ground_m() -> f64 {
 }
 pub fn default_image_px() -> f64 {
     5.0
-}
-
-/// Whether a name is one of a pattern, in which `*` stands for any letters.
-pub fn matches_pattern(name: &str, pattern: &str) -> bool {
-    let mut parts = pattern.split('*');
-    let first = parts.next().unwrap_or("");
-    let Some(mut rest) = name.strip_prefix(first) else { return false };
-    let parts: Vec<&str> = parts.collect();
-    for (i, part) in parts.iter().enumerate() {
-        if i + 1 == parts.len() {
-            return rest.ends_with(part);
-        }
-        match rest.find(part) {
-            Some(at) => rest = &rest[at + part.len()..],
-            None => return false,
-        }
-    }
-    rest.is_empty()
 }
 
 pub fn frames_in(folder: &Path, patterns: &[String]) -> Result<Vec<String>> {

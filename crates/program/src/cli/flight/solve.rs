@@ -17,7 +17,8 @@ use super::project::{
 };
 use super::refine::refined;
 use super::relative::{Flight, GroundPlane, MadeBy, Oriented};
-use super::stages::{self, After, Record, Stage};
+use super::stage::Stage;
+use super::stages::{self, After, Record};
 use super::{
     camera_tables, document, footprints, frames, image_size, interior, lists, micmac, page, plausible, runs,
     stage_pages,

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use serde_json::Value;
 
 use super::page::{CHECK, CONTROL, STYLE, camera_mark, cells, fixed, name, rows};
-use super::stages::Stage;
+use super::stage::Stage;
 use super::ties::Ties;
 use autoref_raster::markup::escaped;
 use autoref_raster::words::counted;

@@ -14,7 +14,7 @@ use autoref_raster::window::Window;
 use gdal::Dataset;
 use gdal::raster::{Buffer, ResampleAlg};
 
-use super::super::lists::height_unit_m;
+use super::super::worlds::height_unit_m;
 
 /// The model's part that matters, and what it is called: easting, northing and height in metres, whatever its CRS
 /// counts in.

@@ -16,7 +16,7 @@ use autoref_raster::error::Error as RasterError;
 use autoref_raster::window::Window;
 use nalgebra::{Matrix3, Vector3};
 
-use super::super::{camera_file, camera_tables, lists, set_interior};
+use super::super::{camera_file, camera_tables, lists, set_interior, worlds};
 use super::OrthorectifyArgs;
 use super::model::Dem;
 
@@ -79,7 +79,7 @@ fn posed_by_table(
     };
     // Degrees are brought to the model's map; whatever their CRS is called, they are those of WGS 84.
     let stated = args.crs.as_deref().filter(|_| rows[i].geographic).map(Crs::parse).transpose()?;
-    if stated.is_some_and(|crs| !lists::is_wgs84(&crs)) {
+    if stated.is_some_and(|crs| !worlds::is_wgs84(&crs)) {
         bail!(
             "{}: longitudes and latitudes, which are taken as those of WGS 84, and --crs has no effect; leave it out",
             file.display()
@@ -197,11 +197,11 @@ pub(super) fn place(dem: &Dem, pose: &Pose, frame: &Frame) -> Result<(World, Pos
     }
     let mut at = [Coordinate { x: eye[0], y: eye[1], height: None }];
     from.transform(&mut at, target, 100.0)?;
-    let there = [at[0].x * dem.unit_m, at[0].y * dem.unit_m, eye[2] * lists::height_unit_m(&from)];
+    let there = [at[0].x * dem.unit_m, at[0].y * dem.unit_m, eye[2] * worlds::height_unit_m(&from)];
     // Both stand on the same point of the ellipsoid: their tangent frames are one.
-    let posed = lists::world_of(Some(&from), eye)?.pose_to_world(pose);
+    let posed = worlds::world_of(Some(&from), eye)?.pose_to_world(pose);
     let posed = posed.with_context(|| format!("the camera lies outside {}", from.title()))?;
-    Ok((lists::metric_world_of(target, there)?, posed, there))
+    Ok((worlds::metric_world_of(target, there)?, posed, there))
 }
 
 /// The same of a pose in the tangent plane about a longitude, latitude and height.
@@ -209,12 +209,12 @@ fn place_tangent(dem: &Dem, pose: &Pose, about: [f64; 3]) -> Result<(World, Pose
     let target = dem.crs.as_ref().context("a tangent frame is placed on a map")?;
     let mut at = [Coordinate { x: about[0], y: about[1], height: None }];
     Crs::from_epsg(4326)?.transform(&mut at, target, 100.0)?;
-    let world = lists::metric_world_of(target, [at[0].x * dem.unit_m, at[0].y * dem.unit_m, about[2]])?;
+    let world = worlds::metric_world_of(target, [at[0].x * dem.unit_m, at[0].y * dem.unit_m, about[2]])?;
     let outside = || format!("the camera lies outside {}", target.title());
     let posed = world.pose_of_tangent(about, pose).with_context(outside)?;
     let eye = world.to_map(&posed.centre).with_context(outside)?;
     // About the camera itself, as with poses on the map.
-    let there = lists::metric_world_of(target, eye)?;
+    let there = worlds::metric_world_of(target, eye)?;
     let posed = world.pose_to_map(&posed).and_then(|pose| there.pose_to_world(&pose)).with_context(outside)?;
     Ok((there, posed, eye))
 }
