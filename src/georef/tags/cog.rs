@@ -2,7 +2,6 @@
 
 use std::os::unix::fs::FileExt;
 
-use super::TagOptions;
 use super::journal::Patch;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::tiff::container::{Directories, Role, tag};
@@ -13,6 +12,13 @@ const GHOST: &[u8] = b"GDAL_STRUCTURAL_METADATA_SIZE=";
 /// By GDAL's design the same length as what replaces it.
 const INTACT: &[u8] = b"KNOWN_INCOMPATIBLE_EDITION=NO\n ";
 const BROKEN: &[u8] = b"KNOWN_INCOMPATIBLE_EDITION=YES\n";
+
+/// What `--write tags` may do.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct TagOptions {
+    /// A Cloud Optimized GeoTIFF may become an ordinary one.
+    pub break_cog: bool,
+}
 
 /// Refuses a COG unless it may be broken; gives the patch that makes its header tell the truth then.
 ///

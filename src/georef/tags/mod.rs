@@ -26,18 +26,12 @@ use autoref_raster::error::{Error, Result};
 use autoref_raster::tiff::container::Directories;
 use autoref_raster::tiff::is_tiff;
 
+pub use cog::TagOptions;
 pub use journal::Plan;
 pub use keys::RasterType;
 
 const LOCK_ATTEMPTS: u32 = 40;
 const LOCK_PAUSE: Duration = Duration::from_millis(50);
-
-/// What `--write tags` may do.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct TagOptions {
-    /// A Cloud Optimized GeoTIFF may become an ordinary one.
-    pub break_cog: bool,
-}
 
 /// Tags that are about to be written.
 #[derive(Debug)]

@@ -11,9 +11,10 @@ use gdal::Dataset;
 use gdal::raster::ColorInterpretation;
 use quick_xml::escape::escape;
 
-use super::{Border, Grid};
+use super::border::Border;
+use super::grid::Grid;
 use autoref_raster::coords::GeoTransform;
-use autoref_raster::crs::Crs;
+use autoref_raster::crs::{Crs, axis_mapping};
 use autoref_raster::error::{Error, Result};
 
 /// Side of the blocks in which the warper works.
@@ -100,7 +101,7 @@ pub fn xml(
         grid.width, grid.height
     ));
     if let Some(crs) = crs {
-        line(format!("  <SRS dataAxisToSRSAxisMapping=\"{}\">{}</SRS>", super::axis_mapping(crs), escape(crs.wkt())));
+        line(format!("  <SRS dataAxisToSRSAxisMapping=\"{}\">{}</SRS>", axis_mapping(crs), escape(crs.wkt())));
     }
     line(format!("  <GeoTransform>{}</GeoTransform>", numbers(&grid.transform.0)));
     let colours: Vec<(usize, &Band)> = source.colours().collect();
