@@ -97,8 +97,8 @@ fn ground_around(scene: &Scene<'_>, own: &PixelSet) -> Option<Ground> {
 }
 
 /// What the sides of a fitted outline that no edge supports leave open of its centre, px² (xx, xy, yy): where the
-/// picture shows no step from paint to ground across a side, the mark may go on there, or end before. The second answer
-/// is how many of four sides those are.
+/// picture shows no step from paint to ground across a side, or ends there (nodata, the image's border), the mark may go
+/// on, or end before. The second answer is how many of four sides those are.
 pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64; 3], f64) {
     /// Steps of less than this share of the paint's contrast are doubtful.
     const STEP: f64 = 0.6;
@@ -108,8 +108,10 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64
     let (sin, cos) = fit.angle_rad.sin_cos();
     let turns = if fit.form == Form::Disc { 8 } else { 4 };
     let mut sums = vec![[0.0f64; 4]; turns];
+    // Beyond these sides lies other paint, which tells nothing.
+    let mut covered = vec![false; turns];
     let hidden = scene.beside_other().minus(&scene.own);
-    scene.valid.minus(&hidden).for_each(|i| {
+    scene.valid.for_each(|i| {
         let (x, y) = ((i % scene.width) as f64 + 0.5 - fit.x, (i / scene.width) as f64 + 0.5 - fit.y);
         let (u, v) = (x * cos + y * sin, y * cos - x * sin);
         // How far outside the outline, and of which side.
@@ -125,7 +127,9 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64
             if a > b { (a, if u > 0.0 { 0 } else { 2 }) } else { (b, if v > 0.0 { 1 } else { 3 }) }
         };
         let (inner, outer) = ((-2.0 - beyond..=-0.5).contains(&out), (beyond..=reach).contains(&out));
-        if inner || outer {
+        if hidden.has(i) {
+            covered[k] |= outer;
+        } else if inner || outer {
             let at = usize::from(outer) * 2;
             sums[k][at] += shares[i];
             sums[k][at + 1] += 1.0;
@@ -133,10 +137,10 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64
     });
     let (mut open, mut sides) = ([0.0; 3], 0.0);
     for (k, [inside, n, outside, m]) in sums.into_iter().enumerate() {
-        if n < 1.0 || m < 1.0 {
+        if n < 1.0 || (m < 1.0 && covered[k]) {
             continue;
         }
-        let step = inside / n - outside / m;
+        let step = if m < 1.0 { 0.0 } else { inside / n - outside / m };
         let missing = ((STEP - step) / STEP).clamp(0.0, 1.0);
         if missing == 0.0 {
             continue;

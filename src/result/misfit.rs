@@ -28,6 +28,9 @@ pub enum Misfit {
     /// Of many matched marks a part was measured. Parts that lie alike in their marks fit each other as well as the
     /// marks would. `off_px` is how far a part may lie from the middle of its mark, the median.
     InPieces { marks: usize, of: usize, off_px: f64 },
+    /// What was matched hardly looks like whole marks: triangles and arrows, measured at their centroids. `off_px` is
+    /// how large they are, the median.
+    Unlike { score: f64, off_px: f64 },
 }
 
 /// Where the accuracy of a list comes from.
@@ -49,6 +52,9 @@ impl Misfit {
         if marks >= 3 && marks as f64 >= LEAST_IN_PIECES * rows.len() as f64 {
             off_px.sort_unstable_by(f64::total_cmp);
             return Some(Misfit::InPieces { marks, of: rows.len(), off_px: off_px[marks / 2] });
+        }
+        if let Some(unlike) = unlike_marks(rows, &result.candidates) {
+            return Some(unlike);
         }
         let (n, scale) = (rows.len() as f64, run.fit.scale_m_per_px);
         let is_affine = matches!(run.chosen_model, Some(ChosenModel::Affine(_)));
@@ -84,7 +90,7 @@ impl Misfit {
     /// How far a place of the image may be off beyond what a similarity's noise lets expect, pixels at most about.
     pub fn beyond_px(&self, pixel: PixelPoint, scale_m_per_px: f64) -> f64 {
         match self {
-            Misfit::InPieces { off_px, .. } => *off_px,
+            Misfit::InPieces { off_px, .. } | Misfit::Unlike { off_px, .. } => *off_px,
             Misfit::Departs { departure, .. } => departure.at_m(pixel) / scale_m_per_px,
             Misfit::Bad { worst_px, .. } => *worst_px,
             Misfit::Rough { .. } => 0.0,
@@ -117,6 +123,11 @@ impl Misfit {
             }
             Misfit::Rough { rmse_px, .. } => {
                 format!("the points fit only to {rmse_px:.1} px: where marks and survey are better, something is wrong")
+            }
+            Misfit::Unlike { .. } => {
+                "what was matched hardly looks like whole marks: do not trust it to less than their \
+                                      width before you have looked at their pictures"
+                    .to_string()
             }
             Misfit::InPieces { marks, of, .. } => format!(
                 "{marks} of {of} marks lie in pieces, of which one was measured: do not trust it to less than \
@@ -155,6 +166,11 @@ impl Misfit {
                      better, points are wrong, the image is bent or shifted in parts, or {parts}"
                 )
             }
+            Misfit::Unlike { score, .. } => format!(
+                "half of the matched marks have scores below {score:.0}: triangles, arrows, L and T are measured at their \
+                 centroids, whatever their points are; look at their pictures in the report, or name their shape and \
+                 paint with a --profile"
+            ),
             Misfit::InPieces { marks, of, .. } => format!(
                 "{marks} of {of} marks lie in pieces: other candidates lie beside them, or their centres are uncertain by a \
                  good part of their width; {parts}, and the whole image may be as far off as a mark is wide; name the size \
@@ -175,6 +191,8 @@ fn in_pieces(rows: &[MatchRow], candidates: &[Candidate]) -> Vec<f64> {
     /// Standard deviation of the centre, in sides.
     const UNCERTAIN: f64 = 0.25;
     const LEAST_SIDE_PX: f64 = 4.0;
+    /// With a little to spare.
+    const HALF_WAY: f64 = 0.6;
     /// Radius that holds 95 of 100 errors of both coordinates, in standard deviations of one.
     const RAYLEIGH_95: f64 = 2.4477;
     let in_part = |row: &MatchRow| {
@@ -191,10 +209,55 @@ fn in_pieces(rows: &[MatchRow], candidates: &[Candidate]) -> Vec<f64> {
             !std::ptr::eq(c, own) && BESIDE.contains(&(distance(c) / side_px)) && unlike < MOST_UNLIKE
         };
         let sigma_px = row.covariance_px2.map_or(0.0, |c| ((c[0] + c[2]) / 2.0).sqrt());
-        let is_in_part = sigma_px > UNCERTAIN * side_px || candidates.iter().any(is_beside);
-        is_in_part.then_some(side_px.max(RAYLEIGH_95 * sigma_px))
+        let beside: Vec<&Candidate> = candidates.iter().filter(|c| is_beside(c)).collect();
+        let is_in_part = sigma_px > UNCERTAIN * side_px || !beside.is_empty();
+        // A part that lies in fragments itself is as small as one of them: the middle is half-way to the farthest.
+        let reach_px = farthest_fragment_px(own, &beside, candidates, BESIDE.end);
+        is_in_part.then_some(side_px.max(RAYLEIGH_95 * sigma_px).max(HALF_WAY * reach_px))
     };
     rows.iter().filter_map(in_part).collect()
+}
+
+/// How far the farthest of the fragments lies that hang together with a candidate, each nearer to another than `reach`
+/// sides.
+fn farthest_fragment_px(own: &Candidate, beside: &[&Candidate], candidates: &[Candidate], reach: f64) -> f64 {
+    /// A figure has no more fields and fragments of them.
+    const MOST: usize = 8;
+    let apart = |a: &Candidate, b: &Candidate| (a.centre.x - b.centre.x).hypot(a.centre.y - b.centre.y);
+    let side_px = |c: &Candidate| c.area_px.map_or(0.0, f64::sqrt);
+    let mut together: Vec<&Candidate> = beside.to_vec();
+    let mut looked = 0;
+    while looked < together.len() && together.len() < MOST {
+        let from = together[looked];
+        let joins = |c: &&Candidate| {
+            let near = reach * side_px(from).max(side_px(c));
+            !std::ptr::eq(*c, own) && !together.iter().any(|known| std::ptr::eq(*known, *c)) && apart(from, c) < near
+        };
+        let joining: Vec<&Candidate> = candidates.iter().filter(joins).collect();
+        together.extend(joining);
+        looked += 1;
+    }
+    together.iter().take(MOST).map(|c| apart(own, c)).fold(0.0, f64::max)
+}
+
+/// Whether the matched marks, most of them, score as no whole marks do.
+fn unlike_marks(rows: &[MatchRow], candidates: &[Candidate]) -> Option<Misfit> {
+    /// Worn marks that a second pass finds score more, as a rule.
+    const LEAST_SCORE: f64 = -6.0;
+    let mut scores: Vec<f64> = rows.iter().filter_map(|row| row.score).collect();
+    if scores.len() < 3 || 2 * scores.len() < rows.len() {
+        return None;
+    }
+    scores.sort_unstable_by(f64::total_cmp);
+    let score = scores[scores.len() / 2];
+    let side = |row: &MatchRow| {
+        let own = candidates.iter().find(|c| (c.centre.x, c.centre.y) == (row.x, row.y))?;
+        own.size_px.map(|[a, b]| a.max(b))
+    };
+    let mut sides: Vec<f64> = rows.iter().filter_map(side).collect();
+    sides.sort_unstable_by(f64::total_cmp);
+    let off_px = sides.get(sides.len() / 2).copied().unwrap_or(0.0);
+    (score < LEAST_SCORE).then_some(Misfit::Unlike { score, off_px })
 }
 
 /// RMS of the lengths of residuals, for the degrees of freedom that are left: `taken` is how many points' worth the fit
@@ -240,6 +303,10 @@ mod tests {
         assert_eq!(both(&pieces), [10.0, 10.0], "20 px away is another thing");
         let ring_and_disc = [100.2, 200.3].map(|x| candidate(x, 40.0));
         assert!(both(&ring_and_disc).is_empty(), "the same mark seen twice");
+        let mut fragments = pieces.to_vec();
+        fragments.push(candidate(117.0, 30.0));
+        let off = both(&fragments);
+        assert!(off.len() == 2 && (off[0] - 0.6 * 16.9).abs() < 1e-9, "a piece of a piece lies 17 px away: {off:?}");
         let numbers = [109.0, 209.0].map(|x| candidate(x, 20.0));
         assert!(both(&numbers).is_empty(), "small digits beside the marks");
         let mut moved = rows.clone();

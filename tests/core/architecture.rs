@@ -40,11 +40,15 @@ const TREES: &[&str] = &[
     "src",
     "crates/cloud/src",
     "crates/cosine/src",
+    "crates/elevation/src",
     "crates/film/src",
+    "crates/flight/src",
+    "crates/program/src",
     "crates/raster/src",
     "crates/review/src",
     "crates/solve/src",
     "crates/synth/src",
+    "crates/terrain/src",
 ];
 
 #[test]
