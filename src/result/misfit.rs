@@ -37,7 +37,7 @@ pub enum Misfit {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Survey {
     Stated,
-    /// Nobody stated it: [`USUAL_SURVEY_M`].
+    /// Nobody stated it: 20 mm in each axis.
     Assumed,
 }
 

@@ -5,6 +5,7 @@ mod chosen_model;
 mod departure;
 mod document;
 mod misfit;
+mod twins;
 
 use std::path::Path;
 
@@ -22,6 +23,7 @@ use autoref_solve::{Similarity, Solution};
 pub use chosen_model::{ChosenModel, PlanarModel, SimilarityModel, Solver, SpatialModel, SpatialResidual};
 pub use departure::{Departure, Shape};
 pub use misfit::{LEAST_MISFIT_PX, Misfit, Survey, residual_rms_px};
+pub use twins::Twins;
 
 /// Version of the layout; it grows when a field changes its meaning.
 pub const SCHEMA_VERSION: u32 = 1;

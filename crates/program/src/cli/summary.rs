@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 use autoref_stream::matching::diagnosis::{Certainty, Diagnosis};
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
-use autoref_stream::result::{Misfit, RefusedRun, RunOutcome, RunResult, SolvedRun};
+use autoref_stream::result::{Misfit, RefusedRun, RunOutcome, RunResult, SolvedRun, Twins};
 
 use crate::cli::lengths::length;
 use crate::cli::{accuracy, solving};
@@ -123,6 +123,7 @@ impl Verdict {
         let and_chance = chance.as_ref().map_or(String::new(), |text| format!("; chance {text}"));
         let tested = tested(run);
         let misfit = Misfit::of(result);
+        let twins = Twins::of(result).map(|twins| twins.clause(run.fit.scale_m_per_px));
         let outlier = run.matches.iter().chain(&run.check_points).any(|m| m.outlier);
         // The surest mistake speaks; it does not hide that points do not fit.
         if let Some(diagnosis) = spoken_of(&result.diagnoses) {
@@ -137,15 +138,21 @@ impl Verdict {
             if let Some(misfit) = misfit {
                 sentence += &format!("; {}", misfit.clause());
             }
+            sentence.extend(twins.map(|twins| format!("; {twins}")));
             return Verdict { sentence, chance, tested };
         }
         if outlier {
             let sentence =
                 format!("solved, but a point does not fit: look at it before you trust the rest{and_chance}");
+            let sentence = twins.map_or(sentence.clone(), |twins| format!("{sentence}; {twins}"));
             return Verdict { sentence, chance: None, tested };
         }
         if let Some(misfit) = misfit {
-            return Verdict { sentence: misfit.verdict(), chance, tested };
+            let sentence = twins.map_or(misfit.verdict(), |twins| format!("{}; {twins}", misfit.verdict()));
+            return Verdict { sentence, chance, tested };
+        }
+        if let Some(twins) = twins {
+            return Verdict { sentence: format!("solved, but {twins}"), chance, tested };
         }
         let horizontal = run.accuracy.as_ref().and_then(|a| a.figures.horizontal.as_ref());
         let sentence = if let Some(h) = horizontal {
