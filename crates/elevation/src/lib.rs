@@ -26,6 +26,7 @@ pub mod mosaic;
 pub mod output;
 pub mod profile;
 pub mod resample;
+pub mod resampled;
 mod row_cache;
 pub mod source;
 pub mod stream;

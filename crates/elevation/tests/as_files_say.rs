@@ -1,5 +1,7 @@
 //! What files say of their cells is heeded: alpha bands, masks, scale and offset, units; and what is written says it.
 
+#[path = "as_files_say/borders.rs"]
+mod borders;
 #[path = "as_files_say/joining.rs"]
 mod joining;
 #[path = "as_files_say/references.rs"]

@@ -13,6 +13,7 @@ use autoref_elevation::files::Resources;
 use autoref_elevation::output;
 use autoref_elevation::profile;
 use autoref_elevation::resample::Interpolation;
+use autoref_elevation::resampled;
 use autoref_raster::atomic::{self, Existing};
 use autoref_raster::cells::csv_text;
 use clap::{Args, Subcommand, ValueEnum};
@@ -412,33 +413,12 @@ fn resample(args: &ResampleArgs) -> anyhow::Result<()> {
     output::check(&outs.iter().map(PathBuf::as_path).collect::<Vec<_>>(), Existing::of_flag(args.overwrite))?;
     let resources = args.resources.resources();
     resources.check()?;
-    let threads = format!("NUM_THREADS={}", resources.threads);
     derive::check_heights(&args.model)?;
     derive::check_resampling(&args.model, &args.resampling)?;
     args.resolution.iter().try_for_each(|side| derive::check_resolution(&args.model, *side))?;
     for (out, resolution) in outs.iter().zip(&args.resolution) {
-        let side = resolution.to_string();
         atomic::with_temporary(out, |path| {
-            let options = [
-                "-of",
-                "GTiff",
-                "-tr",
-                &side,
-                &side,
-                "-tap",
-                "-r",
-                &args.resampling,
-                "-wo",
-                &threads,
-                "-co",
-                "COMPRESS=DEFLATE",
-                "-co",
-                "TILED=YES",
-                "-co",
-                "BIGTIFF=IF_SAFER",
-                "-overwrite",
-            ];
-            derive::warp(&args.model, path, &options)
+            resampled::resample(&args.model, path, *resolution, &args.resampling, resources.threads)
         })?;
         println!("Written              {}", out.display());
     }
