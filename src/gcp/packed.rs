@@ -1,6 +1,8 @@
 //! Degrees, minutes and seconds written as one number, as pocket calculators and total stations have them: 10.234255 of
 //! `DDD.MMSS` is 10° 23′ 42.55″.
 
+use std::collections::HashSet;
+
 use crate::gcp::angle::angle;
 
 /// What a title says of such numbers.
@@ -80,18 +82,23 @@ impl Packed {
 }
 
 /// Whether numbers that are taken for decimal degrees could as well be packed ones: so many that chance would hardly
-/// leave all minutes and seconds below 60.
+/// leave all minutes and seconds below 60. Those of points that lie close together say it once.
 pub(super) fn could_be_packed<'a>(texts: impl Iterator<Item = &'a str>) -> bool {
     const FEWEST: usize = 10;
-    let mut seen = 0;
-    let mut texts = texts.inspect(|_| seen += 1);
+    /// A hundred metres.
+    const TOGETHER_DECIMALS: usize = 3;
+    let mut seen = HashSet::new();
+    let mut texts = texts.inspect(|text| {
+        let end = text.find(['.', ',']).map_or(text.len(), |at| (at + 1 + TOGETHER_DECIMALS).min(text.len()));
+        seen.insert(text.get(..end).unwrap_or(text));
+    });
     let all = texts.all(|text| {
         // Degrees, minutes and seconds apart from each other are no one number.
         let decimals = text.trim().rsplit_once(['.', ',']).map_or("", |(_, decimals)| decimals);
         let is_one = decimals.bytes().all(|b| b.is_ascii_digit()) && !text.trim().contains([' ', ':', '°']);
         is_one && decimals.len() >= 4 && Packed::BehindDegrees.angle(text).is_some()
     });
-    all && seen >= FEWEST
+    all && seen.len() >= FEWEST
 }
 
 #[cfg(test)]
@@ -136,10 +143,12 @@ mod tests {
 
     #[test]
     fn many_angles_below_sixty_are_noticed() {
-        let packed: Vec<String> = (0..10).map(|i| format!("10.23{:02}55", 5 * i)).collect();
+        let packed: Vec<String> = (0..10).map(|i| format!("10.{:02}3055", 5 * i)).collect();
         assert!(could_be_packed(packed.iter().map(String::as_str)));
         assert!(!could_be_packed(packed.iter().take(9).map(String::as_str)));
         assert!(!could_be_packed(packed.iter().map(String::as_str).chain(["10.2371"])));
+        let close: Vec<String> = (0..16).map(|i| format!("59.9133{i:02}4")).collect();
+        assert!(!could_be_packed(close.iter().map(String::as_str)), "all of one street");
         for apart in ["52°20′12.34567″N", "N 52 20 12.34567", "52:20:12.34567", "-52 20 12.34567"] {
             assert!(!could_be_packed([apart; 12].into_iter()), "{apart}");
         }

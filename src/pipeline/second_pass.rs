@@ -3,12 +3,15 @@
 use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
+use crate::detector::Detector;
 use crate::learn::{DEFAULT_REACH_PX, learn};
 use crate::pipeline::georeference::{Job, Outcome, Run, match_and_orient, orient_again};
 use crate::pipeline::{MarkDetector, scan};
 use crate::profile::Profile;
+use crate::segment::label::Labeller;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
+use autoref_raster::mask::Mask;
 use autoref_raster::window::Window;
 use autoref_raster::{Patch, RasterSource, read_patch};
 
@@ -107,6 +110,10 @@ pub fn second_pass(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
     let Some(profile) = taught(job.source, &positions)? else { return Ok((first, None)) };
     let Ok(detector) = MarkDetector::new(profile.clone(), job.source.info(), None) else { return Ok((first, None)) };
     let relaxed = detector.relaxed();
+    if matches!(first.outcome, Outcome::Refused(_)) && is_of_ground(job.source, detector.as_detector())? {
+        tracing::info!("the strongest candidates have the colour of the ground: they teach nothing");
+        return Ok((first, None));
+    }
     // The plan's halo was made for the first profile; a taught one has no filters and needs none.
     job.progress.pass("second pass, with the colours learned");
     let job = Job { detector: detector.as_detector(), refiner: relaxed.as_detector(), ..*job };
@@ -176,6 +183,41 @@ pub(super) fn keep_strongest(candidates: &mut Vec<Candidate>, points: usize) {
         equals -= usize::from(equal);
         equal || score(c) > least
     });
+}
+
+/// Whether what a detector takes for paint lies everywhere, as ground does that has taught it: in windows that are spread
+/// over the image its regions of a mark's size and shape are so dense that to examine them all would take minutes, and
+/// marks among them would hardly be told. Sources that are read from the top down are not asked.
+fn is_of_ground(source: &dyn RasterSource, detector: &dyn Detector) -> Result<bool> {
+    const ACROSS: u64 = 4;
+    const SIDE_PX: u64 = 512;
+    /// Fields of a thousand pumpkins have some hundreds.
+    const DENSE_PER_MPX: f64 = 1_000.0;
+    /// So many are examined in some seconds, however dense.
+    const FEW: f64 = 3_000.0;
+    let info = source.info();
+    if info.sequential {
+        return Ok(false);
+    }
+    let bounds = info.bounds();
+    let places = (0..ACROSS * ACROSS).map(|i| {
+        let at = |k: u64, size: u64| (2 * k + 1) * size / (2 * ACROSS);
+        (at(i % ACROSS, info.width), at(i / ACROSS, info.height))
+    });
+    let (mut regions, mut seen_px) = (0usize, 0u64);
+    for (x, y) in places {
+        let half = |size: u64| (SIDE_PX / 2).min(size / (2 * ACROSS)).max(1);
+        let core = Window::new(x, y, 1, 1).grown(half(info.width).min(half(info.height)), &bounds);
+        let read = core.grown(detector.halo_px(), &bounds);
+        let block = source.read(read)?;
+        let mut mask = Mask::new(read);
+        detector.segment(&block, &mut mask);
+        regions += Labeller::new().label(&mask, core, bounds, |region| detector.gate(region)).finished.len();
+        seen_px += core.area();
+    }
+    let dense = regions as f64 / (seen_px as f64 / 1e6);
+    let all = regions as f64 * bounds.area() as f64 / seen_px as f64;
+    Ok(dense > DENSE_PER_MPX && all > FEW)
 }
 
 fn matched(run: &Run) -> usize {
