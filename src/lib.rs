@@ -11,8 +11,6 @@
 //! Only `autoref-raster` and the rooms that read and write lists ([`gcp`], [`georef`]) touch files; everything
 //! between takes values and returns values. The pixel convention is that of GDAL: x to the right, y down, `(0, 0)` at
 //! the outer corner of the first pixel (`docs/coordinates.md`).
-#![deny(unsafe_code)]
-
 pub mod black_white;
 pub mod candidate;
 pub mod coded;

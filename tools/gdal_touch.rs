@@ -4,6 +4,8 @@
 //!
 //! Each thread has a dataset of its own, as GDAL asks for, and takes whole rows of blocks (a million pixels of strips).
 
+#![allow(unsafe_code)] // GDAL is called as a C program would
+
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 

@@ -8,6 +8,7 @@ use super::units::Unit;
 use crate::gcp::Gcp;
 use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::words::first_of;
 
 // As `tidy` leaves titles: small letters, blanks for underscores.
 const SIGMAS: [&str; 6] = ["sigma", "sigma m", "accuracy", "accuracy m", "std", "sigma xy"];
@@ -53,9 +54,7 @@ pub(super) fn apply(path: &Path, gcps: &mut [Gcp]) -> Result<Vec<String>> {
     let mut notes = Vec::new();
     let mut note = |names: &[&str], what: &str| {
         if !names.is_empty() {
-            let shown = names.iter().take(8).copied().collect::<Vec<_>>().join(", ");
-            let more = if names.len() > 8 { format!(" and {} more", names.len() - 8) } else { String::new() };
-            notes.push(format!("{}: {what} {shown}{more}", path.display()));
+            notes.push(format!("{}: {what} {}", path.display(), first_of(names, 8)));
         }
     };
     note(&unknown.iter().map(String::as_str).collect::<Vec<_>>(), "no point of the list is called");

@@ -10,6 +10,7 @@ use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::{Error, Result};
 use autoref_raster::units::FOOT_M;
+use autoref_raster::words::first_of;
 
 /// No coordinate on Earth is larger, in metres, feet or degrees.
 const LARGEST_COORDINATE: f64 = 1e9;
@@ -219,7 +220,7 @@ fn set_aside(
         "{}: set aside, outside the area of use of {}: {} (--force outside-area keeps them)",
         path.display(),
         crs.title(),
-        listed(&names)
+        first_of(&names, 8)
     ));
     Ok(())
 }
@@ -250,7 +251,7 @@ pub(super) fn refuse_known_mistakes(
     let names: Vec<String> = points.iter().filter(outside).map(|p| p.gcp.name.clone()).collect();
     if !names.is_empty() {
         let title = crs.title();
-        notes.push(format!("{}: outside the area of use of {title}: {}", path.display(), listed(&names)));
+        notes.push(format!("{}: outside the area of use of {title}: {}", path.display(), first_of(&names, 8)));
     }
     Ok(())
 }
@@ -372,12 +373,4 @@ fn centre_in(image: &ImageGeoreference, crs: &Crs) -> Option<(f64, f64)> {
     let mut point = [Coordinate { x: easting, y: northing, height: None }];
     Crs::parse(&image.crs_wkt).ok()?.transform(&mut point, crs, f64::INFINITY).ok()?;
     Some((point[0].x, point[0].y))
-}
-
-/// The first names, and how many more there are.
-fn listed(names: &[String]) -> String {
-    const SHOWN: usize = 8;
-    let more = names.len().saturating_sub(SHOWN);
-    let shown = names[..names.len() - more].join(", ");
-    if more > 0 { format!("{shown} and {more} more") } else { shown }
 }

@@ -69,8 +69,6 @@ pub struct ScanOutcome {
     pub regions_turned_down: u64,
     /// Reading of the scan alone.
     pub scan_reads: ReadStats,
-    /// Reading again for marks that straddle tiles.
-    pub window_reads: ReadStats,
     pub timings: ScanTimings,
 }
 
@@ -144,13 +142,11 @@ pub fn scan(
     }
     let regions_examined = collected.clutter + examined.len() as u64;
     let at_the_end = examined.iter().filter(|one| one.is_turned_down()).count() as u64;
-    let after = source.stats();
     Ok(ScanOutcome {
         candidates: detector.finish(one_of_each(examined)),
         regions_examined,
         regions_turned_down: collected.turned_down + at_the_end,
         scan_reads: difference(scanned, before),
-        window_reads: difference(after, scanned),
         timings: ScanTimings { scan_s: seconds(scan_time), examine_s: seconds(examine_started.elapsed()) },
     })
 }

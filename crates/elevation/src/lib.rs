@@ -6,8 +6,6 @@
 //! result by a bit. `docs/elevation.md` and `docs/mosaic.md` have the methods and the limits. This crate imports
 //! `autoref-raster`.
 
-#![deny(unsafe_code)]
-
 pub mod align;
 pub mod compare;
 pub mod couple;

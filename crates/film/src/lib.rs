@@ -10,8 +10,6 @@
 //! `docs/film.md` has the method, the measured table and the limits. [`drawn`] draws frames with known truth. This
 //! crate imports `autoref-cosine`, `autoref-raster`, `autoref-review`, `autoref-solve` and `autoref-synth`.
 
-#![deny(unsafe_code)]
-
 pub mod camera;
 pub mod check;
 mod clicks;

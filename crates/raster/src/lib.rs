@@ -19,8 +19,6 @@
 //! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
-#![deny(unsafe_code)]
-
 pub mod atomic;
 pub mod bounded;
 mod cache;
@@ -30,6 +28,7 @@ mod chunked;
 pub mod cloud_optimised;
 pub mod coords;
 pub mod crs;
+pub mod dates;
 mod elevation;
 pub mod error;
 pub mod exact_sum;

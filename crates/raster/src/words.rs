@@ -22,8 +22,12 @@ pub fn counted<N: Display + PartialEq + From<u8>>(count: N, one: &str, many: &st
 /// assert_eq!(some_of(&["a", "b", "c", "d", "e", "f", "g"]), "a, b, c, d, e and 2 more");
 /// ```
 pub fn some_of<S: AsRef<str>>(names: &[S]) -> String {
-    const SHOWN: usize = 5;
-    let first: Vec<&str> = names.iter().take(SHOWN).map(AsRef::as_ref).collect();
+    first_of(names, 5)
+}
+
+/// So many first names, and how many more there are.
+pub fn first_of<S: AsRef<str>>(names: &[S], shown: usize) -> String {
+    let first: Vec<&str> = names.iter().take(shown).map(AsRef::as_ref).collect();
     let first = first.join(", ");
-    if names.len() > SHOWN { format!("{first} and {} more", names.len() - SHOWN) } else { first }
+    if names.len() > shown { format!("{first} and {} more", names.len() - shown) } else { first }
 }

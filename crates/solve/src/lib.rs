@@ -14,8 +14,6 @@
 //! ```
 //!
 //! This crate imports `autoref-raster` only, for coordinates.
-#![deny(unsafe_code)]
-
 pub mod absolute;
 pub mod accuracy;
 pub mod adjustment;

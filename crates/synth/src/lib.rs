@@ -16,8 +16,6 @@
 //! ```
 //!
 //! This crate imports `autoref-raster` only.
-#![deny(unsafe_code)]
-
 mod gcps;
 mod jpeg;
 mod landscape;

@@ -78,7 +78,7 @@ pub fn grey(path: &Path, size: [usize; 2], factor: usize, mut row: impl FnMut(us
 
 /// What MicMac reads beside a mask: a `FileOriMnt` with the mask's name and size, as its `SaisieMasq` writes it.
 pub fn micmac_xml(mask_name: &str, [width, height]: [usize; 2]) -> String {
-    let name = mask_name.replace('&', "&amp;").replace('<', "&lt;");
+    let name = autoref_raster::markup::escaped(mask_name);
     format!(
         "<?xml version=\"1.0\" ?>\n<FileOriMnt>\n     <NameFileMnt>./{name}</NameFileMnt>\n     \
          <NombrePixels>{width} {height}</NombrePixels>\n     <OriginePlani>0 0</OriginePlani>\n     \

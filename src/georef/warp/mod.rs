@@ -17,6 +17,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use gdal::cpl::CslStringList;
+use gdal::raster::GdalDataType;
 use gdal::{Dataset, DriverManager, Metadata};
 
 use autoref_raster::coords::GeoTransform;
@@ -209,9 +210,9 @@ impl WarpOptions {
             let what = format!("{name} compression by this GDAL, which was built without it");
             return Err(Error::unsupported(image, what, "choose another --compress, such as deflate"));
         }
-        let kinds: Vec<&str> = source.colours().map(|(_, band)| band.kind.as_str()).collect();
-        if self.compression.lossy() && kinds.iter().any(|kind| *kind != "Byte") {
-            let what = format!("{name} compression of {} samples", kinds[0]);
+        let kinds: Vec<GdalDataType> = source.colours().map(|(_, band)| band.kind).collect();
+        if self.compression.lossy() && kinds.iter().any(|kind| *kind != GdalDataType::UInt8) {
+            let what = format!("{name} compression of {} samples", kinds[0].name());
             return Err(Error::unsupported(image, what, "choose deflate, zstd or lzw"));
         }
         let fits = match self.compression {
@@ -252,25 +253,16 @@ impl WarpOptions {
             (Border::Auto, Some(band)) => match band.nodata {
                 _ if source.alpha.is_some() => Border::Alpha,
                 Some(value) if !self.compression.lossy() => Border::Nodata(value),
-                None if !band.kind.starts_with("UInt") && band.kind != "Byte" => {
-                    Border::Nodata(Border::ELEVATION_NODATA)
-                }
+                None if band.kind.is_signed() => Border::Nodata(Border::ELEVATION_NODATA),
                 _ => Border::Alpha,
             },
             (asked, _) => asked,
         };
         if let (Border::Nodata(value), Some(band)) = (border, first) {
-            let holds = match band.kind.as_str() {
-                "Byte" => (0.0..=255.0).contains(&value) && value.fract() == 0.0,
-                "UInt16" => (0.0..=65_535.0).contains(&value) && value.fract() == 0.0,
-                "Int16" => (-32_768.0..=32_767.0).contains(&value) && value.fract() == 0.0,
-                "UInt32" => (0.0..=f64::from(u32::MAX)).contains(&value) && value.fract() == 0.0,
-                "Int32" => (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&value) && value.fract() == 0.0,
-                _ => true,
-            };
+            let holds = holds(band.kind, value);
             if !holds {
                 return Err(Error::usage(
-                    format!("{value} as nodata does not fit {} samples", band.kind),
+                    format!("{value} as nodata does not fit {} samples", band.kind.name()),
                     "give --border alpha or another value",
                 ));
             }
@@ -406,6 +398,20 @@ fn remove_leftovers(out: &Path) {
             let _ = std::fs::remove_file(entry.path());
         }
     }
+}
+
+/// Whether samples of a kind can be a number.
+fn holds(kind: GdalDataType, value: f64) -> bool {
+    if !kind.is_integer() {
+        return true;
+    }
+    let bits = i32::from(kind.bits());
+    let (least, most) = if kind.is_signed() {
+        (-(2f64.powi(bits - 1)), 2f64.powi(bits - 1) - 1.0)
+    } else {
+        (0.0, 2f64.powi(bits) - 1.0)
+    };
+    value.fract() == 0.0 && (least..=most).contains(&value)
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use gdal::Dataset;
-use gdal::raster::ColorInterpretation;
+use gdal::raster::{ColorInterpretation, GdalDataType};
 use quick_xml::escape::escape;
 
 use super::border::Border;
@@ -34,7 +34,7 @@ pub struct Source {
 
 #[derive(Clone, Debug)]
 pub struct Band {
-    pub kind: String,
+    pub kind: GdalDataType,
     pub colour: String,
     pub nodata: Option<f64>,
 }
@@ -62,7 +62,7 @@ impl Source {
             if matches!(colour, ColorInterpretation::AlphaBand) && alpha.is_none() && number > 1 {
                 alpha = Some(number);
             }
-            let (kind, colour) = (band.band_type().name(), colour.name());
+            let (kind, colour) = (band.band_type(), colour.name());
             bands.push(Band { kind, colour, nodata: band.no_data_value() });
         }
         if bands.is_empty() {
@@ -110,11 +110,11 @@ pub fn xml(
             Border::Nodata(value) => format!("<NoDataValue>{}</NoDataValue>", real(value)),
             Border::Alpha | Border::Auto => String::new(),
         };
-        line(band_xml(number, &band.kind, &band.colour, &nodata));
+        line(band_xml(number, band.kind, &band.colour, &nodata));
     }
     let alpha = colours.len() + 1;
     if border == Border::Alpha {
-        line(band_xml(alpha, &colours[0].1.kind, "Alpha", ""));
+        line(band_xml(alpha, colours[0].1.kind, "Alpha", ""));
     }
     line(format!("  <BlockXSize>{0}</BlockXSize>\n  <BlockYSize>{0}</BlockYSize>", BLOCK_PX));
     line(format!("  <GDALWarpOptions>\n    <WarpMemoryLimit>{memory_bytes}</WarpMemoryLimit>"));
@@ -165,7 +165,8 @@ fn scale_factors(transform: &GeoTransform, grid: &Grid) -> (f64, f64) {
     ((across / to[1]).min(1.0), (down / -to[5]).min(1.0))
 }
 
-fn band_xml(number: usize, kind: &str, colour: &str, more: &str) -> String {
+fn band_xml(number: usize, kind: GdalDataType, colour: &str, more: &str) -> String {
+    let kind = kind.name();
     format!(
         "  <VRTRasterBand dataType=\"{kind}\" band=\"{number}\" subClass=\"VRTWarpedRasterBand\">\
          <ColorInterp>{colour}</ColorInterp>{more}</VRTRasterBand>"

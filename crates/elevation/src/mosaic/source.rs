@@ -197,16 +197,7 @@ fn date_of(path: &Path, dataset: &Dataset) -> String {
         return run.to_string();
     }
     let modified = std::fs::metadata(path).and_then(|m| m.modified()).ok();
-    let seconds = modified.and_then(|t| t.duration_since(std::time::UNIX_EPOCH).ok()).map_or(0, |d| d.as_secs());
-    // Days since 1970 as a date (H. Hinnant, chrono-compatible low-level date algorithms, 2013).
-    let z = (seconds / 86_400) as i64 + 719_468;
-    let era = z / 146_097;
-    let doe = z - era * 146_097;
-    let yoe = (doe - doe / 1460 + doe / 36_524 - doe / 146_096) / 365;
-    let doy = doe - (365 * yoe + yoe / 4 - yoe / 100);
-    let mp = (5 * doy + 2) / 153;
-    let (day, month) = (doy - (153 * mp + 2) / 5 + 1, if mp < 10 { mp + 3 } else { mp - 9 });
-    let year = yoe + era * 400 + i64::from(month <= 2);
+    let ((year, month, day), _) = autoref_raster::dates::civil(modified.unwrap_or(std::time::UNIX_EPOCH));
     format!("{year:04}{month:02}{day:02}")
 }
 

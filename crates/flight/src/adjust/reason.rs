@@ -1,5 +1,6 @@
 //! Why GCPs do not fit a block: what one slip in a whole list would mend.
 
+use autoref_raster::units::FOOT_M;
 use nalgebra::Vector3;
 
 use super::survey::GroundPoint;
@@ -12,7 +13,6 @@ const FEWEST: usize = 5;
 /// A slip explains the misfit where, without it, this part of it is left.
 const EXPLAINED: f64 = 0.25;
 /// International and US survey feet are the same here.
-const FOOT_M: f64 = 0.3048;
 
 /// How a list may be wrong as a whole.
 struct Slip {

@@ -4,20 +4,10 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use super::adjust::Ties;
-use autoref_raster::words::counted;
-
-/// Names in one sentence at most.
-const MOST_NAMES: usize = 5;
+use autoref_raster::words::{counted, some_of};
 
 fn name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-fn list(names: &[String]) -> String {
-    match names.len().saturating_sub(MOST_NAMES) {
-        0 => names.join(", "),
-        more => format!("{} and {more} more", names[..MOST_NAMES].join(", ")),
-    }
 }
 
 /// The sentences of one band.
@@ -29,7 +19,7 @@ fn of_band(ties: &Ties, names: &[&Path], reference: Option<usize>) -> Vec<String
     };
     let pairs = |pairs: &[(usize, usize)]| {
         let both = |(i, j): &(usize, usize)| format!("{} with {}", name(names[*i]), name(names[*j]));
-        list(&pairs.iter().map(both).collect::<Vec<_>>())
+        some_of(&pairs.iter().map(both).collect::<Vec<_>>())
     };
     let mut notes = Vec::new();
     let alone = select(&|source| members(ties.groups[source]) == 1 && reference != Some(source));
@@ -37,7 +27,7 @@ fn of_band(ties: &Ties, names: &[&Path], reference: Option<usize>) -> Vec<String
         notes.push(format!(
             "{} of {sources} sources are tied to no other by their overlaps and stay as they are: {}",
             alone.len(),
-            list(&alone)
+            some_of(&alone)
         ));
     }
     let free: BTreeSet<usize> = ties.groups.iter().copied().filter(|group| members(*group) > 1).collect();
@@ -50,7 +40,7 @@ fn of_band(ties: &Ties, names: &[&Path], reference: Option<usize>) -> Vec<String
                     "{} of {sources} sources are tied to others, and not to {}; they keep a level of their own: {}",
                     others.len(),
                     name(names[reference]),
-                    list(&others)
+                    some_of(&others)
                 ));
             }
         }
@@ -59,7 +49,7 @@ fn of_band(ties: &Ties, names: &[&Path], reference: Option<usize>) -> Vec<String
             notes.push(format!(
                 "the sources fall into {} groups that no overlap ties; each keeps a level of its own: {}",
                 free.len(),
-                list(&free.iter().map(group).collect::<Vec<_>>())
+                some_of(&free.iter().map(group).collect::<Vec<_>>())
             ));
         }
         None => {}
