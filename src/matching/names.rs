@@ -131,7 +131,8 @@ fn log10_factorial(n: usize) -> f64 {
     (2..=n).map(|k| (k as f64).log10()).sum()
 }
 
-fn log10_choose(n: usize, k: usize) -> f64 {
+/// log₁₀ of n over k.
+pub(super) fn log10_choose(n: usize, k: usize) -> f64 {
     log10_factorial(n) - log10_factorial(k) - log10_factorial(n - k)
 }
 

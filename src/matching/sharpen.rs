@@ -5,6 +5,7 @@ use crate::matching::Pattern;
 use crate::matching::bar::Bar;
 use crate::matching::evidence::CLOSEST_PX;
 use crate::matching::far::root_mean_square;
+use crate::matching::names::log10_choose;
 use crate::matching::pairs::GcpPair;
 use crate::matching::predictions::spread_from_pair;
 use crate::matching::screening::Screening;
@@ -83,7 +84,8 @@ impl Search<'_> {
         let noise_px = root_mean_square(&pattern.similarity, &loose);
         let by_chance = -(-farthest_px * farthest_px / (2.0 * noise_px * noise_px)).exp_m1();
         // The pair that tells, the others that agree with it, and how closely.
-        let choices = log10_choose(m, 2.0) + log10_choose(m - 2.0, k - 2.0) + CORE_LEVELS.log10();
+        let choices =
+            log10_choose(loose.len(), 2) + log10_choose(loose.len() - 2, close.len() - 2) + CORE_LEVELS.log10();
         Some(choices + (k - 2.0) * by_chance.log10())
     }
 
@@ -159,9 +161,4 @@ fn keep(best: &mut Vec<Told>, told: Option<Told>) {
         best.sort_by(|s, t| t.0.total_cmp(&s.0));
         best.truncate(SETTLED);
     }
-}
-
-/// log₁₀ of n over k.
-fn log10_choose(n: f64, k: f64) -> f64 {
-    (0..k as usize).map(|i| ((n - i as f64) / (k - i as f64)).log10()).sum()
 }

@@ -3,7 +3,7 @@
 use autoref_raster::coords::{Handedness, PixelPoint};
 
 use super::departure::{Departure, Shape};
-use super::{ChosenModel, MatchRow, RunResult};
+use super::{ChosenModel, MatchRow, RunResult, Twins};
 use crate::candidate::Candidate;
 
 /// A survey whose σ nobody states is this good, metres.
@@ -14,6 +14,8 @@ const TIMES: f64 = 3.0;
 pub const LEAST_MISFIT_PX: f64 = 2.0;
 /// Residuals from which a stretched image is told, pixels.
 const LEAST_STRETCH_PX: f64 = 0.5;
+/// From a part to the middle of its mark, as a share of the way to the farthest part; with a little to spare.
+const HALF_WAY: f64 = 0.6;
 /// So large a share of marks in pieces is no chance.
 const LEAST_IN_PIECES: f64 = 0.34;
 /// The points do not fit as marks of an orthophoto do.
@@ -51,7 +53,10 @@ impl Misfit {
         let marks = off_px.len();
         if marks >= 3 && marks as f64 >= LEAST_IN_PIECES * rows.len() as f64 {
             off_px.sort_unstable_by(f64::total_cmp);
-            return Some(Misfit::InPieces { marks, of: rows.len(), off_px: off_px[marks / 2] });
+            // The other halves of figures lie all the same way.
+            let halves_px = Twins::of(result).map_or(0.0, |twins| HALF_WAY * twins.apart_px);
+            let off_px = off_px[marks / 2].max(halves_px);
+            return Some(Misfit::InPieces { marks, of: rows.len(), off_px });
         }
         if let Some(unlike) = unlike_marks(rows, &result.candidates) {
             return Some(unlike);
@@ -191,8 +196,6 @@ fn in_pieces(rows: &[MatchRow], candidates: &[Candidate]) -> Vec<f64> {
     /// Standard deviation of the centre, in sides.
     const UNCERTAIN: f64 = 0.25;
     const LEAST_SIDE_PX: f64 = 4.0;
-    /// With a little to spare.
-    const HALF_WAY: f64 = 0.6;
     /// Radius that holds 95 of 100 errors of both coordinates, in standard deviations of one.
     const RAYLEIGH_95: f64 = 2.4477;
     let in_part = |row: &MatchRow| {

@@ -72,8 +72,8 @@ impl Twins {
     /// For the verdict, as a part of a sentence.
     pub fn clause(&self, scale_m_per_px: f64) -> String {
         format!(
-            "{} marks like these lie {:.0} px = {:.2} m beside {}, all the same way: old or witness marks? look which are \
-             the points'",
+            "{} marks like these lie {:.0} px = {:.2} m beside {}, all the same way: old or witness marks, or other parts \
+             of these? look which are the points'",
             self.gcps.len(),
             self.apart_px,
             self.apart_px * scale_m_per_px,
