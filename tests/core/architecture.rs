@@ -107,8 +107,8 @@ fn crates(root: &Path) -> Vec<std::path::PathBuf> {
     folders.map(|entry| entry.expect("readable").path()).filter(|p| p.join("Cargo.toml").exists()).collect()
 }
 
-/// Which room of a source tree names which, unit tests and comments apart. A room is a folder or file at the top, but not
-/// the crate's own `lib.rs` or `main.rs`.
+/// Which room of a source tree names which, unit tests and comments apart. A room is a folder or file at the top, but
+/// not the crate's own `lib.rs` or `main.rs`.
 fn imports(top: &Path) -> Imports {
     let mut out = Imports::new();
     let mut todo = vec![top.to_owned()];

@@ -1,7 +1,7 @@
 //! The cosine transform of a profile of any length, by the crate `rustdct`.
 //!
-//! A crate of its own, because `rustfft` is compiled into whatever names a type for its numbers, and takes a minute. This crate imports
-//! no other of the house.
+//! A crate of its own, because `rustfft` is compiled into whatever names a type for its numbers, and takes a minute. It
+//! imports no other of the house.
 
 use rustdct::{DctPlanner, TransformType2And3};
 use std::sync::Arc;

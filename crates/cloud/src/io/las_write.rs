@@ -43,8 +43,8 @@ struct LasWriter {
     max: [i32; 3],
 }
 
-/// GPS times that are none of the week, and such as LAS writes with bit 0 of its global encoding: seconds since 1980 less
-/// 10⁹. Larger ones count from elsewhere.
+/// GPS times that are none of the week, and such as LAS writes with bit 0 of its global encoding: seconds since 1980
+/// less 10⁹. Larger ones count from elsewhere.
 const STANDARD_TIMES_S: std::ops::Range<f64> = 604_800.000_001..1e9;
 
 pub(super) fn create(path: &Path, named: &Path, target: &Target<'_>, format: Format) -> Result<Box<dyn PointWriter>> {
