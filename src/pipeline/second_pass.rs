@@ -186,8 +186,8 @@ pub(super) fn keep_strongest(candidates: &mut Vec<Candidate>, points: usize) {
 }
 
 /// Whether what a detector takes for paint lies everywhere, as ground does that has taught it: in windows that are
-/// spread over the image its regions of a mark's size and shape are so dense that to examine them all would take minutes, and
-/// marks among them would hardly be told. Sources that are read from the top down are not asked.
+/// spread over the image its regions of a mark's size and shape are so dense that to examine them all would take
+/// minutes, and marks among them would hardly be told. Sources that are read from the top down are not asked.
 fn is_of_ground(source: &dyn RasterSource, detector: &dyn Detector) -> Result<bool> {
     const ACROSS: u64 = 4;
     const SIDE_PX: u64 = 512;
