@@ -12,8 +12,6 @@ use crate::read::Reconstruction;
 const FEWEST: usize = 5;
 /// A slip explains the misfit where, without it, this part of it is left.
 const EXPLAINED: f64 = 0.25;
-/// International and US survey feet are the same here.
-
 /// How a list may be wrong as a whole.
 struct Slip {
     said: &'static str,
@@ -26,6 +24,7 @@ const SLIPS: [Slip; 5] = [
     Slip {
         said: "they would fit if the heights were in feet, brought to metres",
         pixels: 1.0,
+        // International and US survey feet are the same here.
         place: |x| Vector3::new(x.x, x.y, x.z * FOOT_M),
     },
     Slip {
