@@ -97,8 +97,7 @@ fn ground_around(scene: &Scene<'_>, own: &PixelSet) -> Option<Ground> {
 }
 
 /// What the sides of a fitted outline that no edge supports leave open of its centre, px² (xx, xy, yy): where the
-/// picture shows no step from paint to ground across a side, or ends there (nodata, the image's border), the mark may
-/// go on, or end before. The second answer is how many of four sides those are.
+/// picture shows no step from paint to ground across a side, or holds nothing there, the mark may go on, or end before. The second answer is how many of four sides those are.
 pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64; 3], f64) {
     /// Steps of less than this share of the paint's contrast are doubtful.
     const STEP: f64 = 0.6;
@@ -108,10 +107,10 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64
     let (sin, cos) = fit.angle_rad.sin_cos();
     let turns = if fit.form == Form::Disc { 8 } else { 4 };
     let mut sums = vec![[0.0f64; 4]; turns];
-    // Beyond these sides lies other paint, which tells nothing.
-    let mut covered = vec![false; turns];
+    // Beyond these sides nodata hides the ground.
+    let mut void = vec![false; turns];
     let hidden = scene.beside_other().minus(&scene.own);
-    scene.valid.for_each(|i| {
+    (0..scene.width * scene.height).for_each(|i| {
         let (x, y) = ((i % scene.width) as f64 + 0.5 - fit.x, (i / scene.width) as f64 + 0.5 - fit.y);
         let (u, v) = (x * cos + y * sin, y * cos - x * sin);
         // How far outside the outline, and of which side.
@@ -127,9 +126,9 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64
             if a > b { (a, if u > 0.0 { 0 } else { 2 }) } else { (b, if v > 0.0 { 1 } else { 3 }) }
         };
         let (inner, outer) = ((-2.0 - beyond..=-0.5).contains(&out), (beyond..=reach).contains(&out));
-        if hidden.has(i) {
-            covered[k] |= outer;
-        } else if inner || outer {
+        if !scene.valid.has(i) {
+            void[k] |= outer;
+        } else if !hidden.has(i) && (inner || outer) {
             let at = usize::from(outer) * 2;
             sums[k][at] += shares[i];
             sums[k][at + 1] += 1.0;
@@ -137,7 +136,7 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64
     });
     let (mut open, mut sides) = ([0.0; 3], 0.0);
     for (k, [inside, n, outside, m]) in sums.into_iter().enumerate() {
-        if n < 1.0 || (m < 1.0 && covered[k]) {
+        if n < 1.0 || (m < 1.0 && !void[k]) {
             continue;
         }
         let step = if m < 1.0 { 0.0 } else { inside / n - outside / m };
@@ -158,8 +157,9 @@ pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64
 
 #[cfg(test)]
 mod tests {
-    use super::super::drawn::{inside, patch};
+    use super::super::drawn::{SIDE, inside, patch};
     use super::*;
+    use autoref_raster::Patch;
 
     #[test]
     fn a_part_grows_to_the_edge_that_the_picture_shows() {
@@ -171,6 +171,34 @@ mod tests {
         let all = inside(18..30, 18..30);
         let scene = Scene::of_pixels(&patch, all.clone(), &all);
         assert!(matches!(whole(&scene, Vector3::new(250.0, 100.0, 10.0)), Whole::Is));
+    }
+
+    #[test]
+    fn a_side_beyond_which_there_is_nothing_is_open() {
+        let own = inside(18..30, 18..30);
+        let shares: Vec<f64> = (0..SIDE * SIDE).map(|i| if own.has(i) { 1.0 } else { 0.0 }).collect();
+        let fit = Fit {
+            form: Form::Rectangle,
+            x: 24.0,
+            y: 24.0,
+            sides_px: [12.0; 2],
+            angle_rad: 0.0,
+            blur_px: 0.5,
+            height: 1.0,
+            scatter_px2: [0.01, 0.0, 0.01],
+            chi2: 1.0,
+            rms: 0.0,
+            rms_inside: 0.0,
+            hidden: 0.0,
+            edge_sd: 0.0,
+        };
+        let mut patch = patch(|_, _| 1.0);
+        let seen = |patch: &Patch| unsupported(&Scene::of_pixels(patch, own.clone(), &own), &shares, &fit);
+        assert_eq!(seen(&patch), ([0.0; 3], 0.0));
+        // Nodata right of the mark: it may go on there.
+        (0..SIDE * SIDE).filter(|i| i % SIDE >= 30).for_each(|i| patch.valid[i] = false);
+        let (open, sides) = seen(&patch);
+        assert!((sides - 1.0).abs() < 1e-9 && open[0] > 8.0 && open[2] < 1e-9, "{open:?}, {sides}");
     }
 
     #[test]

@@ -82,23 +82,28 @@ impl Packed {
 }
 
 /// Whether numbers that are taken for decimal degrees could as well be packed ones: so many that chance would hardly
-/// leave all minutes and seconds below 60. Those of points that lie close together say it once.
+/// leave all minutes and seconds below 60. What tells is the first digit of each; of points that lie close together it
+/// is the same again and again, and counts once.
 pub(super) fn could_be_packed<'a>(texts: impl Iterator<Item = &'a str>) -> bool {
-    const FEWEST: usize = 10;
-    /// A hundred metres.
-    const TOGETHER_DECIMALS: usize = 3;
-    let mut seen = HashSet::new();
-    let mut texts = texts.inspect(|text| {
-        let end = text.find(['.', ',']).map_or(text.len(), |at| (at + 1 + TOGETHER_DECIMALS).min(text.len()));
-        seen.insert(text.get(..end).unwrap_or(text));
-    });
-    let all = texts.all(|text| {
+    /// Six of ten digits are possible: chance leaves so many once in 36 lists.
+    const FEWEST: usize = 7;
+    const FEWEST_NUMBERS: usize = 10;
+    let mut told: HashSet<&str> = HashSet::new();
+    let mut numbers = 0;
+    let all = { texts }.all(|text| {
+        let text = text.trim();
         // Degrees, minutes and seconds apart from each other are no one number.
-        let decimals = text.trim().rsplit_once(['.', ',']).map_or("", |(_, decimals)| decimals);
-        let is_one = decimals.bytes().all(|b| b.is_ascii_digit()) && !text.trim().contains([' ', ':', '°']);
-        is_one && decimals.len() >= 4 && Packed::BehindDegrees.angle(text).is_some()
+        let point = text.rfind(['.', ',']);
+        let decimals = point.map_or("", |at| &text[at + 1..]);
+        let is_one = decimals.bytes().all(|b| b.is_ascii_digit()) && !text.contains([' ', ':', '°']);
+        let could = is_one && decimals.len() >= 4 && Packed::BehindDegrees.angle(text).is_some();
+        if let Some(at) = point.filter(|_| could) {
+            told.extend([&text[..at + 2], &text[..at + 4]]);
+        }
+        numbers += 1;
+        could
     });
-    all && seen.len() >= FEWEST
+    all && numbers >= FEWEST_NUMBERS && told.len() >= FEWEST
 }
 
 #[cfg(test)]

@@ -187,28 +187,27 @@ pub(super) fn keep_strongest(candidates: &mut Vec<Candidate>, points: usize) {
 
 /// Whether what a detector takes for paint lies everywhere, as ground does that has taught it: in windows that are
 /// spread over the image its regions of a mark's size and shape are so dense that to examine them all would take
-/// minutes, and marks among them would hardly be told. Sources that are read from the top down are not asked.
+/// minutes, and marks among them would hardly be told.
 fn is_of_ground(source: &dyn RasterSource, detector: &dyn Detector) -> Result<bool> {
-    const ACROSS: u64 = 4;
+    /// Each in rows of its own, from the top down, so that no reader goes back.
+    const WINDOWS: u64 = 16;
     const SIDE_PX: u64 = 512;
+    /// Neighbouring windows lie far apart: 7 has no divisor in common with their number.
+    const STEP: u64 = 7;
     /// Fields of a thousand pumpkins have some hundreds.
     const DENSE_PER_MPX: f64 = 1_000.0;
     /// So many are examined in some seconds, however dense.
     const FEW: f64 = 3_000.0;
-    let info = source.info();
-    if info.sequential {
-        return Ok(false);
-    }
-    let bounds = info.bounds();
-    let places = (0..ACROSS * ACROSS).map(|i| {
-        let at = |k: u64, size: u64| (2 * k + 1) * size / (2 * ACROSS);
-        (at(i % ACROSS, info.width), at(i / ACROSS, info.height))
-    });
+    let bounds = source.info().bounds();
+    let halo_px = detector.halo_px();
     let (mut regions, mut seen_px) = (0usize, 0u64);
-    for (x, y) in places {
-        let half = |size: u64| (SIDE_PX / 2).min(size / (2 * ACROSS)).max(1);
-        let core = Window::new(x, y, 1, 1).grown(half(info.width).min(half(info.height)), &bounds);
-        let read = core.grown(detector.halo_px(), &bounds);
+    for i in 0..WINDOWS {
+        let band = Window::new(0, i * bounds.height / WINDOWS, bounds.width, (bounds.height / WINDOWS).max(1));
+        let width = SIDE_PX.min(bounds.width);
+        let height = SIDE_PX.min(band.height.saturating_sub(2 * halo_px).max(1));
+        let x = (bounds.width - width) * (i * STEP % WINDOWS) / (WINDOWS - 1);
+        let core = Window::new(x, band.y + (band.height - height) / 2, width, height);
+        let read = core.grown(halo_px, &bounds);
         let block = source.read(read)?;
         let mut mask = Mask::new(read);
         detector.segment(&block, &mut mask);
@@ -269,6 +268,27 @@ pub(super) fn taught(source: &dyn RasterSource, positions: &[PixelPoint]) -> Res
 #[cfg(test)]
 mod tests {
     use super::*;
+    use autoref_raster::memory::MemorySource;
+
+    /// Squares of 6 px of the default paint on grey, so far apart.
+    fn painted(apart: u64) -> MemorySource {
+        const SIDE: u64 = 1600;
+        let pixel = |i: u64| {
+            let is_paint = (i % SIDE) % apart < 6 && (i / SIDE) % apart < 6;
+            if is_paint { [255, 110, 0] } else { [90, 92, 88] }
+        };
+        MemorySource::rgb8(SIDE, SIDE, (0..SIDE * SIDE).flat_map(pixel).collect())
+    }
+
+    #[test]
+    fn a_colour_that_lies_everywhere_is_that_of_the_ground() {
+        for (apart, is_ground) in [(14, true), (60, false)] {
+            let source = painted(apart);
+            let profile = Profile::load("orange").expect("it ships");
+            let detector = MarkDetector::new(profile, source.info(), None).expect("valid");
+            assert_eq!(is_of_ground(&source, detector.as_detector()).expect("readable"), is_ground, "{apart}");
+        }
+    }
 
     #[test]
     fn the_strongest_stay_in_their_order() {

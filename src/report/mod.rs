@@ -80,6 +80,8 @@ struct Page<'a> {
     solution: Option<&'a autoref_solve::Solution>,
     /// The transform of `--model`, when it is not the similarity.
     chosen_model: Option<&'a crate::result::ChosenModel>,
+    /// What speaks against the fit, which the map of its errors does not know.
+    misfit: Option<String>,
     points: &'a [Point],
     candidates: &'a Candidates,
     chips: &'a [ChipData],
@@ -143,6 +145,7 @@ pub fn page(
         similarity: result.similarity(),
         solution: result.solved().and_then(|solved| solved.solution.as_ref()),
         chosen_model: result.solved().and_then(|solved| solved.chosen_model.as_ref()),
+        misfit: crate::result::Misfit::of(result).map(|misfit| misfit.clause()),
         points: &gathered.points,
         candidates: &gathered.candidates,
         chips: &gathered.chips,

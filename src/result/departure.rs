@@ -1,6 +1,6 @@
 //! Is the image stretched or bent? A similarity against transforms of the kinds by which orthophotos go wrong.
 
-use nalgebra::{Complex, DMatrix, DVector};
+use nalgebra::{Complex, DMatrix, DVector, RowDVector};
 
 use super::MatchRow;
 use autoref_raster::coords::{Handedness, PixelPoint};
@@ -45,6 +45,8 @@ pub struct Departure {
     reach_px: f64,
     /// Metres east and north of what is written, by terms.
     coefficients: Vec<Number>,
+    /// Of the normal equations.
+    inverse: DMatrix<Number>,
 }
 
 /// Residuals of complex least squares: their sum of squares, and the RMS of points left out in turn.
@@ -52,6 +54,7 @@ struct Left {
     squares: f64,
     left_out: f64,
     coefficients: Vec<Number>,
+    inverse: DMatrix<Number>,
 }
 
 impl Departure {
@@ -81,14 +84,21 @@ impl Departure {
         };
         let found = Shape::ALL.into_iter().filter_map(explains);
         let (shape, left) = found.min_by(|a, b| a.1.left_out.total_cmp(&b.1.left_out))?;
-        let (left_m, coefficients) = (left.left_out, left.coefficients);
-        Some(Departure { shape, left_m, handedness, middle, reach_px, coefficients })
+        let Left { left_out: left_m, coefficients, inverse, .. } = left;
+        Some(Departure { shape, left_m, handedness, middle, reach_px, coefficients, inverse })
     }
 
-    /// How far from where the written transform has a pixel this one has it, metres.
-    pub fn at_m(&self, pixel: PixelPoint) -> f64 {
+    /// How far from where the written transform has a pixel this one has it, metres; `None` where the marks do not say:
+    /// beside a row of marks a bend across it is anybody's guess.
+    pub fn at_m(&self, pixel: PixelPoint) -> Option<f64> {
+        /// Variance of the place, in that of a mark.
+        const MOST_UNSURE: f64 = 4.0;
         let u = place(pixel, self.handedness, self.middle, self.reach_px);
-        self.shape.terms(u).iter().zip(&self.coefficients).map(|(term, c)| term * c).sum::<Number>().norm()
+        let terms = self.shape.terms(u);
+        let row = RowDVector::from_row_slice(&terms);
+        let unsure = (&row * &self.inverse * row.adjoint())[(0, 0)].re;
+        let off = terms.iter().zip(&self.coefficients).map(|(term, c)| term * c).sum::<Number>();
+        (unsure <= MOST_UNSURE).then(|| off.norm())
     }
 }
 
@@ -111,7 +121,13 @@ fn fitted(places: &[Number], values: &[Number], terms: impl Fn(Number) -> Vec<Nu
     }
     let design = DMatrix::from_fn(rows.len(), columns, |i, k| rows[i][k]);
     let values = DVector::from_column_slice(values);
-    let inverse = (design.adjoint() * &design).cholesky()?.inverse();
+    let normal = design.adjoint() * &design;
+    let inverse = normal.clone().try_inverse()?;
+    // Marks in a row do not tell all terms: then the inverse is none.
+    let is_inverse = (&normal * &inverse - DMatrix::identity(columns, columns)).iter().all(|v| v.norm() < 1e-6);
+    if !is_inverse {
+        return None;
+    }
     let coefficients = &inverse * design.adjoint() * &values;
     let residuals = values - &design * &coefficients;
     let (mut squares, mut left_out) = (0.0, 0.0);
@@ -121,7 +137,7 @@ fn fitted(places: &[Number], values: &[Number], terms: impl Fn(Number) -> Vec<Nu
         left_out += residual.norm_sqr() / (1.0 - share).max(1e-9).powi(2);
     }
     let left_out = (left_out / rows.len() as f64).sqrt();
-    Some(Left { squares, left_out, coefficients: coefficients.iter().copied().collect() })
+    Some(Left { squares, left_out, coefficients: coefficients.iter().copied().collect(), inverse })
 }
 
 /// How often chance leaves so small a share of the squares: `freedom` coordinates are left, `further` (an even number)
@@ -186,9 +202,13 @@ mod tests {
     fn a_corner_is_as_far_off_as_the_shape_takes_it() {
         let rows = rows(14, &mut SplitMix64(3), |u| 0.4 * u * u.norm_sqr());
         let found = Departure::of(&rows, Handedness::AsIs, MIDDLE).expect("a dome");
-        let corner = found.at_m(PixelPoint { x: 0.0, y: 0.0 });
+        let corner = found.at_m(PixelPoint { x: 0.0, y: 0.0 }).expect("marks all over the image tell");
         assert!((corner - 0.4).abs() < 0.05, "{corner}");
         assert!(found.left_m < 0.03, "{}", found.left_m);
+        // Of marks along a road nobody knows the bend beside it.
+        let road: Vec<MatchRow> = rows.iter().cloned().map(|row| MatchRow { y: 735.0 + 0.02 * row.y, ..row }).collect();
+        let along = Departure::of(&road, Handedness::AsIs, MIDDLE);
+        assert!(along.is_none_or(|along| along.at_m(PixelPoint { x: 0.0, y: 0.0 }).is_none()));
         // Turned over, only a mirrored similarity takes it.
         let mirrored = Departure::of(&rows, Handedness::Mirrored, MIDDLE);
         assert!(mirrored.is_none_or(|found| found.shape != Shape::Domed));

@@ -16,13 +16,17 @@ pub const LEAST_MISFIT_PX: f64 = 2.0;
 const LEAST_STRETCH_PX: f64 = 0.5;
 /// From a part to the middle of its mark, as a share of the way to the farthest part; with a little to spare.
 const HALF_WAY: f64 = 0.6;
+/// A figure is not larger than so many of its parts.
+const MOST_PARTS: f64 = 3.0;
+/// Whole marks score more.
+const UNLIKE_SCORE: f64 = -6.0;
 /// So large a share of marks in pieces is no chance.
 const LEAST_IN_PIECES: f64 = 0.34;
 /// The points do not fit as marks of an orthophoto do.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Misfit {
     /// A transform of another kind explains most of the residuals, and leaves `left_px` at points that it has not seen.
-    Departs { rmse_px: f64, left_px: f64, departure: Departure },
+    Departs { rmse_px: f64, left_px: f64, worst_px: f64, departure: Departure },
     /// Residuals that neither the marks' centres nor the survey explain.
     Bad { rmse_px: f64, expected_px: f64, worst_px: f64 },
     /// Centres or survey are known no better.
@@ -32,7 +36,7 @@ pub enum Misfit {
     InPieces { marks: usize, of: usize, off_px: f64 },
     /// What was matched hardly looks like whole marks: triangles and arrows, measured at their centroids. `off_px` is
     /// how large they are, the median.
-    Unlike { score: f64, off_px: f64 },
+    Unlike { off_px: f64 },
 }
 
 /// Where the accuracy of a list comes from.
@@ -54,8 +58,9 @@ impl Misfit {
         if marks >= 3 && marks as f64 >= LEAST_IN_PIECES * rows.len() as f64 {
             off_px.sort_unstable_by(f64::total_cmp);
             // The other halves of figures lie all the same way.
+            let part_px = off_px[marks / 2];
             let halves_px = Twins::of(result).map_or(0.0, |twins| HALF_WAY * twins.apart_px);
-            let off_px = off_px[marks / 2].max(halves_px);
+            let off_px = part_px.max(halves_px.min(MOST_PARTS * part_px));
             return Some(Misfit::InPieces { marks, of: rows.len(), off_px });
         }
         if let Some(unlike) = unlike_marks(rows, &result.candidates) {
@@ -69,11 +74,13 @@ impl Misfit {
             return None;
         }
         let rmse_px = residual_rms_px(rows.iter().map(|row| row.residual_px), taken);
+        let worst_px = rows.iter().map(|row| row.residual_px).fold(0.0, f64::max);
         if !is_affine && rmse_px >= LEAST_STRETCH_PX {
             let [_, a, b, _, c, d] = run.geotransform.0;
-            let handedness = Handedness::from(a * d - b * c > 0.0);
+            let written = || Handedness::from(a * d - b * c > 0.0);
+            let handedness = run.solution.as_ref().map_or_else(written, |solution| solution.similarity.mirrored);
             if let Some(departure) = Departure::of(rows, handedness, middle(result, rows)) {
-                return Some(Misfit::Departs { rmse_px, left_px: departure.left_m / scale, departure });
+                return Some(Misfit::Departs { rmse_px, left_px: departure.left_m / scale, worst_px, departure });
             }
         }
         if rmse_px < LEAST_MISFIT_PX {
@@ -85,7 +92,6 @@ impl Misfit {
         });
         let expected_px = (expected.sum::<f64>() / n).sqrt();
         if rmse_px > TIMES * expected_px {
-            let worst_px = rows.iter().map(|row| row.residual_px).fold(0.0, f64::max);
             return Some(Misfit::Bad { rmse_px, expected_px, worst_px });
         }
         let survey = if rows.iter().all(|row| row.survey_sigma_m.is_none()) { Survey::Assumed } else { Survey::Stated };
@@ -96,7 +102,9 @@ impl Misfit {
     pub fn beyond_px(&self, pixel: PixelPoint, scale_m_per_px: f64) -> f64 {
         match self {
             Misfit::InPieces { off_px, .. } | Misfit::Unlike { off_px, .. } => *off_px,
-            Misfit::Departs { departure, .. } => departure.at_m(pixel) / scale_m_per_px,
+            Misfit::Departs { departure, worst_px, .. } => {
+                departure.at_m(pixel).map_or(*worst_px, |off_m| off_m / scale_m_per_px)
+            }
             Misfit::Bad { worst_px, .. } => *worst_px,
             Misfit::Rough { .. } => 0.0,
         }
@@ -110,7 +118,7 @@ impl Misfit {
     /// What is to be said against the fit, as a part of a sentence.
     pub fn clause(&self) -> String {
         match self {
-            Misfit::Departs { rmse_px, left_px, departure } => match departure.shape {
+            Misfit::Departs { rmse_px, left_px, departure, .. } => match departure.shape {
                 Shape::Stretched => format!(
                     "the image is stretched or sheared in the CRS of the fit: residuals of {rmse_px:.1} px, {left_px:.1} px \
                      with --model affine"
@@ -145,7 +153,7 @@ impl Misfit {
     pub fn note(&self) -> String {
         let parts = "parts of marks were measured (unless it is named already, name their paint with --paint, or their --profile)";
         match self {
-            Misfit::Departs { rmse_px, left_px, departure } => match departure.shape {
+            Misfit::Departs { rmse_px, left_px, departure, .. } => match departure.shape {
                 Shape::Stretched => format!(
                     "the points fit a similarity to {rmse_px:.1} px and an affine transform to {left_px:.1} px: the image \
                      is no true orthophoto; make it anew, or take --model affine"
@@ -171,8 +179,8 @@ impl Misfit {
                      better, points are wrong, the image is bent or shifted in parts, or {parts}"
                 )
             }
-            Misfit::Unlike { score, .. } => format!(
-                "half of the matched marks have scores below {score:.0}: triangles, arrows, L and T are measured at their \
+            Misfit::Unlike { .. } => format!(
+                "half of the matched marks have scores below {UNLIKE_SCORE:.0}: triangles, arrows, L and T are measured at their \
                  centroids, whatever their points are; look at their pictures in the report, or name their shape and \
                  paint with a --profile"
             ),
@@ -226,6 +234,7 @@ fn in_pieces(rows: &[MatchRow], candidates: &[Candidate]) -> Vec<f64> {
 fn farthest_fragment_px(own: &Candidate, beside: &[&Candidate], candidates: &[Candidate], reach: f64) -> f64 {
     /// A figure has no more fields and fragments of them.
     const MOST: usize = 8;
+    const LEAST_SIDE_PX: f64 = 4.0;
     let apart = |a: &Candidate, b: &Candidate| (a.centre.x - b.centre.x).hypot(a.centre.y - b.centre.y);
     let side_px = |c: &Candidate| c.area_px.map_or(0.0, f64::sqrt);
     let mut together: Vec<&Candidate> = beside.to_vec();
@@ -233,7 +242,7 @@ fn farthest_fragment_px(own: &Candidate, beside: &[&Candidate], candidates: &[Ca
     while looked < together.len() && together.len() < MOST {
         let from = together[looked];
         let joins = |c: &&Candidate| {
-            let near = reach * side_px(from).max(side_px(c));
+            let near = reach * side_px(from).min(side_px(c)).max(LEAST_SIDE_PX);
             !std::ptr::eq(*c, own) && !together.iter().any(|known| std::ptr::eq(*known, *c)) && apart(from, c) < near
         };
         let joining: Vec<&Candidate> = candidates.iter().filter(joins).collect();
@@ -245,8 +254,8 @@ fn farthest_fragment_px(own: &Candidate, beside: &[&Candidate], candidates: &[Ca
 
 /// Whether the matched marks, most of them, score as no whole marks do.
 fn unlike_marks(rows: &[MatchRow], candidates: &[Candidate]) -> Option<Misfit> {
-    /// Worn marks that a second pass finds score more, as a rule.
-    const LEAST_SCORE: f64 = -6.0;
+    /// Worn marks that a second pass finds score more, as a rule. What is not of the profile's size has far less.
+    const SCORES: std::ops::Range<f64> = -30.0..UNLIKE_SCORE;
     let mut scores: Vec<f64> = rows.iter().filter_map(|row| row.score).collect();
     if scores.len() < 3 || 2 * scores.len() < rows.len() {
         return None;
@@ -254,13 +263,15 @@ fn unlike_marks(rows: &[MatchRow], candidates: &[Candidate]) -> Option<Misfit> {
     scores.sort_unstable_by(f64::total_cmp);
     let score = scores[scores.len() / 2];
     let side = |row: &MatchRow| {
-        let own = candidates.iter().find(|c| (c.centre.x, c.centre.y) == (row.x, row.y))?;
-        own.size_px.map(|[a, b]| a.max(b))
+        let distance = |c: &Candidate| (c.centre.x - row.x).hypot(c.centre.y - row.y);
+        let own = candidates.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
+        let size_px = own.size_px.map(|[a, b]| a.max(b)).or(own.area_px.map(f64::sqrt))?;
+        (distance(own) <= size_px).then_some(size_px)
     };
     let mut sides: Vec<f64> = rows.iter().filter_map(side).collect();
     sides.sort_unstable_by(f64::total_cmp);
     let off_px = sides.get(sides.len() / 2).copied().unwrap_or(0.0);
-    (score < LEAST_SCORE).then_some(Misfit::Unlike { score, off_px })
+    SCORES.contains(&score).then_some(Misfit::Unlike { off_px })
 }
 
 /// RMS of the lengths of residuals, for the degrees of freedom that are left: `taken` is how many points' worth the fit
@@ -284,6 +295,25 @@ fn middle(result: &RunResult, rows: &[MatchRow]) -> PixelPoint {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn marks_that_score_as_none_do_are_told() {
+        let row = |(i, score): (usize, f64)| -> MatchRow {
+            serde_json::from_value(serde_json::json!({
+                "gcp": "A", "x": 100.0 * i as f64, "y": 50.0, "easting": 0.0, "northing": 0.0, "height": null,
+                "survey_sigma_m": null, "residual_e_m": 0.0, "residual_n_m": 0.0, "residual_px": 0.0,
+                "covariance_px2": null, "score": score, "found_by": "scan", "leave_one_out_m": null, "redundancy": null,
+                "detectable_blunder_m": null, "outlier": false
+            }))
+            .expect("a row")
+        };
+        let mark = |x: f64| Candidate { size_px: Some([19.0, 22.0]), ..Candidate::at(PixelPoint { x, y: 50.2 }) };
+        let marks: Vec<Candidate> = (0..5).map(|i| mark(100.0 * f64::from(i))).collect();
+        let of = |scores: [f64; 5]| unlike_marks(&scores.into_iter().enumerate().map(row).collect::<Vec<_>>(), &marks);
+        assert_eq!(of([-9.0, -8.5, -11.0, -7.0, -9.6]), Some(Misfit::Unlike { off_px: 22.0 }));
+        assert_eq!(of([15.0, -9.0, 3.0, -8.0, 0.5]), None, "two of five");
+        assert_eq!(of([-50.0; 5]), None, "of another size than the profile's");
+    }
 
     #[test]
     fn marks_with_candidates_beside_them_lie_in_pieces() {

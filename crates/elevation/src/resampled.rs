@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use gdal::Dataset;
 use gdal::raster::GdalDataType;
 
 use crate::error::{Error, Result};
@@ -20,15 +19,19 @@ const ON_GRID: f64 = 1e-6;
 /// Files that cannot be read or written, in GDAL's own words where it says them.
 pub fn resample(model: &Path, out: &Path, side: f64, resampling: &str, threads: usize) -> Result<()> {
     let dataset = open_stored(model)?;
-    let [west, south, east, north] = bounds(model, &dataset)?;
+    let t = dataset.geo_transform().map_err(|e| Error::gdal(model, e))?;
+    let [west, south, east, north] = bounds(t, dataset.raster_size());
     let down = |v: f64| (v / side + ON_GRID).floor() * side;
     let up = |v: f64| (v / side - ON_GRID).ceil() * side;
     let extent = [down(west), down(south), up(east), up(north)];
-    let is_beyond =
-        [west, south, east, north].iter().zip(extent).any(|(own, wide)| (own - wide).abs() > ON_GRID * side);
+    // A turned model leaves corners of its extent empty. Of an extent on the grid GDAL's own `-tap` would make another,
+    // as numbers such as 0.1 round.
+    let is_turned = t[2] != 0.0 || t[4] != 0.0;
+    let is_beyond = is_turned
+        || [west, south, east, north].iter().zip(extent).any(|(own, wide)| (own - wide).abs() > ON_GRID * side);
     let band = dataset.rasterband(1).map_err(|e| Error::gdal(model, e))?;
     let kind = band.band_type();
-    let mut words: Vec<String> = ["-of", "GTiff", "-tap", "-r", resampling, "-wo"].map(String::from).into();
+    let mut words: Vec<String> = ["-of", "GTiff", "-r", resampling, "-wo"].map(String::from).into();
     words.push(format!("NUM_THREADS={threads}"));
     for option in ["COMPRESS=DEFLATE", "TILED=YES", "BIGTIFF=IF_SAFER"] {
         words.extend(["-co".to_string(), option.to_string()]);
@@ -47,13 +50,11 @@ pub fn resample(model: &Path, out: &Path, side: f64, resampling: &str, threads: 
 }
 
 /// West, south, east and north of a raster, which may be turned.
-fn bounds(model: &Path, dataset: &Dataset) -> Result<[f64; 4]> {
-    let t = dataset.geo_transform().map_err(|e| Error::gdal(model, e))?;
-    let (width, height) = dataset.raster_size();
+fn bounds(t: [f64; 6], (width, height): (usize, usize)) -> [f64; 4] {
     let (width, height) = (width as f64, height as f64);
     let corners = [(0.0, 0.0), (width, 0.0), (0.0, height), (width, height)]
         .map(|(x, y)| (t[0] + x * t[1] + y * t[2], t[3] + x * t[4] + y * t[5]));
     let least = |of: fn(&(f64, f64)) -> f64| corners.iter().map(of).fold(f64::INFINITY, f64::min);
     let most = |of: fn(&(f64, f64)) -> f64| corners.iter().map(of).fold(f64::NEG_INFINITY, f64::max);
-    Ok([least(|c| c.0), least(|c| c.1), most(|c| c.0), most(|c| c.1)])
+    [least(|c| c.0), least(|c| c.1), most(|c| c.0), most(|c| c.1)]
 }

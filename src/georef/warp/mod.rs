@@ -253,7 +253,9 @@ impl WarpOptions {
             (Border::Auto, Some(band)) => match band.nodata {
                 _ if source.alpha.is_some() => Border::Alpha,
                 Some(value) if !self.compression.lossy() => Border::Nodata(value),
-                None if band.kind.is_signed() => Border::Nodata(Border::ELEVATION_NODATA),
+                None if band.kind.is_signed() && holds(band.kind, Border::ELEVATION_NODATA) => {
+                    Border::Nodata(Border::ELEVATION_NODATA)
+                }
                 _ => Border::Alpha,
             },
             (asked, _) => asked,
@@ -417,6 +419,23 @@ fn holds(kind: GdalDataType, value: f64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_kind_of_samples_holds_the_numbers_that_it_can_store() {
+        for (kind, value, is_held) in [
+            (GdalDataType::UInt8, 255.0, true),
+            (GdalDataType::UInt8, 256.0, false),
+            (GdalDataType::UInt8, 0.5, false),
+            (GdalDataType::UInt16, -1.0, false),
+            (GdalDataType::Int16, -32_768.0, true),
+            (GdalDataType::Int16, 32_768.0, false),
+            (GdalDataType::UInt32, 4_294_967_295.0, true),
+            (GdalDataType::Int32, 2_147_483_648.0, false),
+            (GdalDataType::Float32, -9999.5, true),
+        ] {
+            assert_eq!(holds(kind, value), is_held, "{value} in {}", kind.name());
+        }
+    }
 
     #[test]
     fn names_read_back() {

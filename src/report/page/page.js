@@ -216,7 +216,8 @@
     for (let k = 0; k < 40; k++) scaleBar.append(svg("rect", { x: k * 4, width: 4.2, height: 12, fill: colour(k / 39), "fill-opacity": 0.8 }));
     byId("expected-note").textContent = `The transform puts 95 of 100 places within this distance of where they are: ${ground(low)} at best, ${ground(high)} in the worst corner. `
       + `It follows from the covariance of the fit alone with ${state.solution.freedom} redundant measurements. A single point read off the image adds the scatter of the marks themselves: ${ground(radius.point(nearest / f))} to ${ground(radius.point(far / f))}.`
-      + (MODEL === "affine" ? " Counted for the similarity; the affine transform that was written has two parameters more and is known a little less well." : "");
+      + (MODEL === "affine" ? " Counted for the similarity; the affine transform that was written has two parameters more and is known a little less well." : "")
+      + (D.misfit ? ` This map does not know what was said of the fit: ${D.misfit}. The corners' expected errors in the summary and the JSON count it.` : "");
     replace("expected-figure", box, html("div", { class: "legend" }, html("span", {}, ground(low), scaleBar, ground(high)), Draw.legendItem("found", "point of the fit")));
   }
 

@@ -37,8 +37,11 @@ struct LasWriter {
     record: Vec<u8>,
     written: u64,
     returns: [u64; 15],
-    /// A time of another format's was none within a week.
-    standard_times: bool,
+    /// The source does not say what its times count from.
+    says_times: bool,
+    /// Some of them are beyond a week, and some within.
+    beyond_week: bool,
+    within_week: bool,
     min: [i32; 3],
     max: [i32; 3],
 }
@@ -115,7 +118,9 @@ pub(super) fn create(path: &Path, named: &Path, target: &Target<'_>, format: For
         record: Vec::new(),
         written: 0,
         returns: [0; 15],
-        standard_times: false,
+        says_times: target.source.las.is_none(),
+        beyond_week: false,
+        within_week: false,
         min: [i32::MAX; 3],
         max: [i32::MIN; 3],
     }))
@@ -206,7 +211,10 @@ impl LasWriter {
             (None, None) => 0,
         };
         let time = recipe.gps_time.as_ref().map_or(0.0, |field| field.value(point.raw));
-        self.standard_times |= STANDARD_TIMES_S.contains(&time.abs());
+        if self.says_times {
+            self.beyond_week |= STANDARD_TIMES_S.contains(&time.abs());
+            self.within_week |= time != 0.0 && time.abs() < STANDARD_TIMES_S.start;
+        }
         put(&mut self.record, 22, &time.to_le_bytes());
         if let Some(colours) = &recipe.colours {
             for (index, field) in colours.iter().enumerate() {
@@ -277,7 +285,8 @@ impl PointWriter for LasWriter {
             }
         };
         let head = &mut self.head;
-        head[6] |= u8::from(self.standard_times);
+        // A receiver that counts on over the end of the week has times on both sides of it.
+        head[6] |= u8::from(self.beyond_week && !self.within_week);
         if let Some((_, hierarchy)) = indexed {
             put(head, 235, &hierarchy.to_le_bytes());
             put(head, 243, &1u32.to_le_bytes());

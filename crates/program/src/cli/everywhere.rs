@@ -45,7 +45,8 @@ fn completed(path: &str, command: Command) -> Command {
     })
 }
 
-/// `--names "A, B"` is A and B: values between commas are read without the blanks about them.
+/// `--names "A, B"` is A and B: values between commas are read without the blanks about them. Lists of words and of
+/// numbers have no parser of their own; one that checks its values must take the blanks away itself.
 fn lists_with_blanks(arg: Arg) -> Arg {
     let reads = arg.get_value_parser().type_id();
     if arg.get_value_delimiter().is_none() || !arg.get_possible_values().is_empty() {
