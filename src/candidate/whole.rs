@@ -97,7 +97,8 @@ fn ground_around(scene: &Scene<'_>, own: &PixelSet) -> Option<Ground> {
 }
 
 /// What the sides of a fitted outline that no edge supports leave open of its centre, px² (xx, xy, yy): where the
-/// picture shows no step from paint to ground across a side, or holds nothing there, the mark may go on, or end before. The second answer is how many of four sides those are.
+/// picture shows no step from paint to ground across a side, or holds nothing there, the mark may go on, or end before.
+/// The second answer is how many of four sides those are.
 pub(super) fn unsupported(scene: &Scene<'_>, shares: &[f64], fit: &Fit) -> ([f64; 3], f64) {
     /// Steps of less than this share of the paint's contrast are doubtful.
     const STEP: f64 = 0.6;

@@ -91,8 +91,8 @@ impl Departure {
     /// How far from where the written transform has a pixel this one has it, metres; `None` where the marks do not say:
     /// beside a row of marks a bend across it is anybody's guess.
     pub fn at_m(&self, pixel: PixelPoint) -> Option<f64> {
-        /// Variance of the place, in that of a mark.
-        const MOST_UNSURE: f64 = 4.0;
+        /// Variance of the place, in that of a mark: corners well beyond the marks have eight.
+        const MOST_UNSURE: f64 = 25.0;
         let u = place(pixel, self.handedness, self.middle, self.reach_px);
         let terms = self.shape.terms(u);
         let row = RowDVector::from_row_slice(&terms);
