@@ -102,15 +102,20 @@ struct Shares {
 }
 
 fn shares(u: f64, blur: f64, modules: usize) -> Shares {
+    /// Deviations beyond which nothing is left of a blurred edge.
+    const FAR: f64 = 9.0;
     let zero = [0.0; MOST_MODULES];
     let mut out = Shares { value: zero, slope: zero, by_blur: zero, first: modules, last: 0 };
     let edge = |k: usize| {
         let t = (u - k as f64) / blur;
-        let (density, below) = normal(t.clamp(-9.0, 9.0));
+        let (density, below) = normal(t.clamp(-FAR, FAR));
         (t, density, below)
     };
-    let mut low = edge(0);
-    for i in 0..modules {
+    // Beyond, both edges of a module are far away on one side, and its share is nothing.
+    let from = ((u - FAR * blur).floor() - 1.0).max(0.0) as usize;
+    let to = ((u + FAR * blur).ceil() + 1.0).max(0.0) as usize;
+    let mut low = edge(from);
+    for i in from..to.min(modules) {
         let high = edge(i + 1);
         out.value[i] = low.2 - high.2;
         if out.value[i] > 1e-9 {

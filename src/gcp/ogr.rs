@@ -2,6 +2,7 @@
 //! tables of a spreadsheet.
 
 use std::ffi::OsString;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use gdal::vector::{Feature, Geometry, LayerAccess, OGRwkbGeometryType, geometry_type_flatten, geometry_type_has_z};
@@ -21,6 +22,24 @@ pub(super) fn parse(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     sheet::with_bare_cells(|| read(path, wanted))
 }
 
+/// Whether the file begins as Excel's workbooks of before 2007 do (an OLE2 container).
+pub(super) fn is_old_workbook(path: &Path) -> bool {
+    const OLE2: [u8; 8] = [0xD0, 0xCF, 0x11, 0xE0, 0xA1, 0xB1, 0x1A, 0xE1];
+    let mut begin = [0; OLE2.len()];
+    std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut begin)).is_ok() && begin == OLE2
+}
+
+fn unreadable(path: &Path) -> Error {
+    if is_old_workbook(path) {
+        return Error::unsupported(path, "an old Excel workbook that GDAL cannot read", "save it as .xlsx or as CSV");
+    }
+    Error::unsupported(
+        path,
+        "no list of points that this program or GDAL's OGR reads",
+        "give GeoJSON, CSV, KOF, GeoPackage, Shapefile, KML, GPX or an OpenDroneMap list",
+    )
+}
+
 fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     let zipped = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("zip"));
     // Put before the path, not joined to it: an absolute one would stand alone.
@@ -37,13 +56,7 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     let flags = GdalOpenFlags::GDAL_OF_VECTOR | GdalOpenFlags::GDAL_OF_READONLY;
     let open_options = autoref_raster::vector_options(path);
     let options = DatasetOptions { open_flags: flags, open_options, ..Default::default() };
-    let dataset = dxf::with_blocks_whole(|| Dataset::open_ex(&name, options)).map_err(|_| {
-        Error::unsupported(
-            path,
-            "no list of points that this program or GDAL's OGR reads",
-            "give GeoJSON, CSV, KOF, GeoPackage, Shapefile, KML, GPX or an OpenDroneMap list",
-        )
-    })?;
+    let dataset = dxf::with_blocks_whole(|| Dataset::open_ex(&name, options)).map_err(|_| unreadable(path))?;
     let driver = dataset.driver().short_name();
     let is_drawing = driver == "DXF";
     let wanted_layer = wanted.filter(|name| !name.eq_ignore_ascii_case(dxf::ENTITIES));

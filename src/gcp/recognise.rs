@@ -22,7 +22,9 @@ const OGR: [&str; 18] = [
 pub(super) fn parse(path: &Path, layer: Option<&str>, from: Option<ListFormat>) -> Result<(RawList, ListFormat)> {
     bounded::refuse_endless(path)?;
     let is_text = from.is_none_or(ListFormat::is_text);
-    if is_text && layer.is_none() && !path.is_dir() && !OGR.contains(&extension(path).as_str()) {
+    // Programs name their tables of text `.xls` too, so that Excel opens them.
+    let is_of_ogr = |end: &str| OGR.contains(&end) && (end != "xls" || ogr::is_old_workbook(path));
+    if is_text && layer.is_none() && !path.is_dir() && !is_of_ogr(&extension(path)) {
         refuse_many(path)?;
         let bytes = bounded::read(path, "a list of points", LARGEST_LIST_BYTES)?;
         if let Some(text) = text::decode(&bytes) {

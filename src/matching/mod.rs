@@ -29,6 +29,7 @@
 
 mod bar;
 mod bitmap;
+pub(crate) mod close_core;
 pub mod diagnosis;
 pub(crate) mod doubtful;
 mod draws;

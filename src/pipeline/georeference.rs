@@ -7,10 +7,11 @@ use serde::{Deserialize, Serialize};
 use crate::candidate::Candidate;
 use crate::detector::Detector;
 use crate::gcp::{Gcp, GcpRole};
+use crate::matching::close_core::close_core;
 use crate::matching::diagnosis::{Diagnosis, GrossErrors, KnownPlace};
 use crate::matching::doubtful::{Ground, doubtful_far};
 use crate::matching::field::Field;
-use crate::matching::{Evidence, Labels, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, Solved, TimeLimit};
+use crate::matching::{Evidence, Labels, MatchOutcome, Matcher, Priors, RobustMatcher, Solved, TimeLimit};
 use crate::pipeline::{Progress, ScanOutcome, scan};
 use crate::rematch::{Expected, Free, Refinement, is_inside, one_gcp_each, rematch};
 use autoref_raster::RasterSource;
@@ -32,6 +33,14 @@ pub struct Job<'a> {
     pub priors: &'a [Priors],
     pub progress: &'a dyn Progress,
     pub refine: Refine,
+}
+
+impl Job<'_> {
+    /// Of the image.
+    fn middle(&self) -> Option<PixelPoint> {
+        let info = self.source.info();
+        Some(PixelPoint { x: info.width as f64 / 2.0, y: info.height as f64 / 2.0 })
+    }
 }
 
 /// Whether points are looked for again where they must be.
@@ -122,7 +131,7 @@ pub(super) fn match_and_orient(job: &Job<'_>, scan: ScanOutcome) -> Result<Run> 
             Outcome::Refused(evidence)
         }
         MatchOutcome::Solved(solved) => {
-            orient(job.gcps, &scan.candidates, *solved, |expected, taken| match job.refine {
+            orient((job.gcps, &scan.candidates), *solved, job.middle(), |expected, taken| match job.refine {
                 Refine::Always => rematch(job.source, job.refiner, &scan.candidates, taken, expected),
                 Refine::Never => Ok(unrefined(job, (&scan.candidates, taken), expected)),
             })?
@@ -170,7 +179,7 @@ pub(super) fn orient_again(
     evidence: Solved,
     taught: &dyn Detector,
 ) -> Result<Outcome> {
-    orient(job.gcps, candidates, evidence, |expected, taken| {
+    orient((job.gcps, candidates), evidence, job.middle(), |expected, taken| {
         let mut answers = rematch(job.source, job.refiner, candidates, taken, expected)?;
         let missing: Vec<usize> = (0..expected.len()).filter(|&i| matches!(answers[i], Refinement::NotFound)).collect();
         let asked: Vec<Expected> = missing.iter().map(|&i| expected[i]).collect();
@@ -204,9 +213,10 @@ pub fn solve_candidates(
     matcher: &dyn Matcher,
     priors: &Priors,
 ) -> Result<Outcome> {
+    let middle = priors.image_size_px.map(|(width, height)| PixelPoint { x: width / 2.0, y: height / 2.0 });
     match matcher.find(candidates, gcps, &priors.with_mark_sizes(candidates)) {
         MatchOutcome::NoMatch(evidence) => Ok(Outcome::Refused(evidence)),
-        MatchOutcome::Solved(solved) => orient(gcps, candidates, *solved, |expected, taken| {
+        MatchOutcome::Solved(solved) => orient((gcps, candidates), *solved, middle, |expected, taken| {
             let inside = |p: PixelPoint| priors.image_size_px.is_none_or(|size_px| is_inside(p, size_px));
             let free = Free::among(candidates, taken);
             Ok(expected
@@ -221,27 +231,80 @@ pub fn solve_candidates(
     }
 }
 
+/// The marks of a list's points.
+struct Marks {
+    /// Of the points that the fit takes.
+    control: Vec<FoundMark>,
+    check: Vec<FoundMark>,
+    not_found: Vec<usize>,
+    outside: Vec<usize>,
+}
+
+/// Looks where GCPs must be.
+type Look<'a> = &'a dyn Fn(&[Expected], &[Candidate]) -> Result<Vec<Refinement>>;
+
+/// `middle` is that of the image, where it is known.
 fn orient(
-    gcps: &[Gcp],
-    candidates: &[Candidate],
+    (gcps, candidates): (&[Gcp], &[Candidate]),
     evidence: Solved,
+    middle: Option<PixelPoint>,
     look: impl Fn(&[Expected], &[Candidate]) -> Result<Vec<Refinement>>,
 ) -> Result<Outcome> {
-    let first: Vec<FoundMark> = evidence
+    let matched = evidence
         .pattern
         .pairs
         .iter()
         .map(|&(candidate, gcp)| FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan })
         .collect();
-    let mirrored = evidence.pattern.similarity.mirrored;
-    let Ok(solution) = solve_as(&pairs(gcps, &first), mirrored) else {
+    let noise_px = evidence.pattern.noise_px;
+    let Some(mut found) = complete(gcps, candidates, &evidence, (matched, noise_px), &look)? else {
         return Ok(Outcome::Refused(Box::new(degenerate(evidence))));
     };
+    let mirrored = evidence.pattern.similarity.mirrored;
+    // What stands beside its point may hide the mark that it should be, and has made room for others like it.
+    if let Some(stays) = close_core(&pairs(gcps, &found.control), mirrored, middle) {
+        let core: Vec<FoundMark> =
+            found.control.iter().zip(&stays).filter(|(_, stays)| **stays).map(|(mark, _)| mark.clone()).collect();
+        let noise_px = noise_px.min(rms_px(&pairs(gcps, &core), mirrored).unwrap_or(noise_px));
+        if let Some(again) = complete(gcps, candidates, &evidence, (core, noise_px), &look)? {
+            found = again;
+        }
+    }
+    match solve_as(&pairs(gcps, &found.control), mirrored) {
+        Ok(solution) => Ok(Outcome::Solved(Box::new(Orientation {
+            evidence,
+            solution,
+            marks: found.control,
+            check_marks: found.check,
+            not_found: found.not_found,
+            outside: found.outside,
+            diagnoses: Vec::new(),
+        }))),
+        Err(_) => Ok(Outcome::Refused(Box::new(degenerate(evidence)))),
+    }
+}
+
+/// RMS of the residuals, pixels.
+fn rms_px(pairs: &[Pair], mirrored: Handedness) -> Option<f64> {
+    let solution = solve_as(pairs, mirrored).ok()?;
+    Some(solution.rmse_m / solution.scale_m_per_px)
+}
+
+/// Looks for the points that have no mark yet where those that have one put them. `None` when these solve nothing.
+fn complete(
+    gcps: &[Gcp],
+    candidates: &[Candidate],
+    evidence: &Solved,
+    (matched, noise_px): (Vec<FoundMark>, f64),
+    look: Look<'_>,
+) -> Result<Option<Marks>> {
+    let mirrored = evidence.pattern.similarity.mirrored;
+    let Ok(solution) = solve_as(&pairs(gcps, &matched), mirrored) else { return Ok(None) };
     let expected: Vec<Expected> = (0..gcps.len())
-        .filter(|gcp| !first.iter().any(|mark| mark.gcp == *gcp))
-        .map(|gcp| expect(gcp, &gcps[gcp], &solution, &evidence.pattern, density(candidates)))
+        .filter(|gcp| !matched.iter().any(|mark| mark.gcp == *gcp))
+        .map(|gcp| expect(gcp, &gcps[gcp], &solution, noise_px, density(candidates)))
         .collect();
-    let paired: Vec<Candidate> = first.iter().map(|found| found.mark.clone()).collect();
+    let paired: Vec<Candidate> = matched.iter().map(|found| found.mark.clone()).collect();
     let mut answers = look(&expected, &paired)?;
     one_gcp_each(&expected, candidates, &mut answers);
     // Where names were heeded, a mark with another GCP's name is not this one, whatever its place.
@@ -253,19 +316,19 @@ fn orient(
         Refinement::Kept { candidate } => Some(*candidate),
         _ => None,
     });
-    let mut taken: Vec<usize> = evidence.pattern.pairs.iter().map(|pair| pair.0).chain(kept).collect();
-    let (mut marks, mut check_marks) = (first, Vec::new());
-    let (mut not_found, mut outside) = (Vec::new(), Vec::new());
+    let is_paired = |i: &usize| paired.iter().any(|mark| mark.centre == candidates[*i].centre);
+    let mut taken: Vec<usize> = (0..candidates.len()).filter(is_paired).chain(kept).collect();
+    let mut found = Marks { control: matched, check: Vec::new(), not_found: Vec::new(), outside: Vec::new() };
     for (expected, answer) in expected.iter().zip(answers) {
         let gcp = expected.gcp;
-        let found = match answer {
+        let mark = match answer {
             Refinement::Kept { candidate } => {
                 Some(FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan })
             }
             Refinement::Found(mark) => Some(FoundMark { gcp, mark: *mark, found_by: FoundBy::Rematch }),
             Refinement::NotFound => None,
             Refinement::Outside => {
-                outside.push(gcp);
+                found.outside.push(gcp);
                 continue;
             }
         };
@@ -275,29 +338,19 @@ fn orient(
             taken.push(candidate);
             Some(FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan })
         };
-        let found = found.filter(&may_be);
-        match if is_check { found.or_else(beside).filter(&may_be) } else { found } {
-            Some(mark) if is_check => check_marks.push(mark),
-            Some(mark) => marks.push(mark),
-            None => not_found.push(gcp),
+        let mark = mark.filter(&may_be);
+        match if is_check { mark.or_else(beside).filter(&may_be) } else { mark } {
+            Some(mark) if is_check => found.check.push(mark),
+            Some(mark) => found.control.push(mark),
+            None => found.not_found.push(gcp),
         }
     }
-    marks.sort_by_key(|mark| mark.gcp);
+    found.control.sort_by_key(|mark| mark.gcp);
     let may_be_asked = |mark: &FoundMark| evidence.names.is_none() || labels.named_by(&mark.mark) != Some(mark.gcp);
-    not_found.extend(without_doubtful(&mut marks, &outside, candidates, gcps, (mirrored, &may_be_asked)));
-    not_found.sort_unstable();
-    match solve_as(&pairs(gcps, &marks), mirrored) {
-        Ok(solution) => Ok(Outcome::Solved(Box::new(Orientation {
-            evidence,
-            solution,
-            marks,
-            check_marks,
-            not_found,
-            outside,
-            diagnoses: Vec::new(),
-        }))),
-        Err(_) => Ok(Outcome::Refused(Box::new(degenerate(evidence)))),
-    }
+    let doubtful = without_doubtful(&mut found.control, &found.outside, candidates, gcps, (mirrored, &may_be_asked));
+    found.not_found.extend(doubtful);
+    found.not_found.sort_unstable();
+    Ok(Some(found))
 }
 
 /// Takes doubtful far marks away ([`doubtful_far`]) and tells whose they were.
@@ -371,15 +424,15 @@ fn pairs(gcps: &[Gcp], marks: &[FoundMark]) -> Vec<Pair> {
 }
 
 /// Where a GCP must be, and how far off it may be: what the match's noise and the fit's uncertainty there allow.
-fn expect(gcp: usize, point: &Gcp, solution: &Solution, pattern: &Pattern, density: f64) -> Expected {
+fn expect(gcp: usize, point: &Gcp, solution: &Solution, noise_px: f64, density: f64) -> Expected {
     /// Where the fit is less sure than a mark, a candidate that chance puts there more often than this is no mark of
     /// the point.
     const CHANCE: f64 = 0.0002;
     let position = solution.similarity.invert(point.position());
     let fit_px = solution.sigma_at_m(position) / solution.scale_m_per_px;
     let by_chance_px = (CHANCE / (std::f64::consts::PI * density)).sqrt();
-    let sure_px = 3.8 * pattern.noise_px * std::f64::consts::SQRT_2;
-    let radius_px = (3.8 * pattern.noise_px.hypot(fit_px)).min(sure_px.max(by_chance_px)).clamp(2.0, 64.0);
+    let sure_px = 3.8 * noise_px * std::f64::consts::SQRT_2;
+    let radius_px = (3.8 * noise_px.hypot(fit_px)).min(sure_px.max(by_chance_px)).clamp(2.0, 64.0);
     Expected { gcp, position, radius_px }
 }
 

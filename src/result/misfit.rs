@@ -2,9 +2,9 @@
 
 use autoref_raster::coords::{Handedness, PixelPoint};
 
-use super::departure::{Departure, Shape};
 use super::{ChosenModel, MatchRow, RunResult, Twins};
 use crate::candidate::Candidate;
+use autoref_solve::departure::{Departure, Residual, Shape};
 
 /// A survey whose σ nobody states is this good, metres.
 const USUAL_SURVEY_M: f64 = 0.02;
@@ -79,7 +79,7 @@ impl Misfit {
             let [_, a, b, _, c, d] = run.geotransform.0;
             let written = || Handedness::from(a * d - b * c > 0.0);
             let handedness = run.solution.as_ref().map_or_else(written, |solution| solution.similarity.mirrored);
-            if let Some(departure) = Departure::of(rows, handedness, middle(result, rows)) {
+            if let Some(departure) = Departure::of(&residuals(rows), handedness, middle(result, rows)) {
                 return Some(Misfit::Departs { rmse_px, left_px: departure.left_m / scale, worst_px, departure });
             }
         }
@@ -279,6 +279,11 @@ fn unlike_marks(rows: &[MatchRow], candidates: &[Candidate]) -> Option<Misfit> {
 pub fn residual_rms_px(residuals_px: impl Iterator<Item = f64>, taken: f64) -> f64 {
     let (n, square) = residuals_px.fold((0.0, 0.0), |(n, sum), residual| (n + 1.0, sum + residual * residual));
     (square / f64::max(n - taken, 1.0)).sqrt()
+}
+
+fn residuals(rows: &[MatchRow]) -> Vec<Residual> {
+    let pixel = |row: &MatchRow| PixelPoint { x: row.x, y: row.y };
+    rows.iter().map(|row| Residual { pixel: pixel(row), east_m: row.residual_e_m, north_m: row.residual_n_m }).collect()
 }
 
 /// The middle of the image, or of the marks where the image is not known.

@@ -2,7 +2,6 @@
 //! `docs/result.schema.json` is the JSON Schema of it.
 
 mod chosen_model;
-mod departure;
 mod document;
 mod misfit;
 mod twins;
@@ -21,7 +20,6 @@ use autoref_raster::error::{Error, Result};
 use autoref_solve::{Similarity, Solution};
 
 pub use chosen_model::{ChosenModel, PlanarModel, SimilarityModel, Solver, SpatialModel, SpatialResidual};
-pub use departure::{Departure, Shape};
 pub use misfit::{LEAST_MISFIT_PX, Misfit, Survey, residual_rms_px};
 pub use twins::Twins;
 

@@ -61,8 +61,12 @@ fn table(titles: &[&str; 4], order: [usize; 4], form: &Form) -> String {
 }
 
 fn read(bytes: &[u8]) -> Result<GcpList, String> {
+    read_as("list.csv", bytes)
+}
+
+fn read_as(name: &str, bytes: &[u8]) -> Result<GcpList, String> {
     let folder = tempfile::tempdir().expect("a folder");
-    let path = folder.path().join("list.csv");
+    let path = folder.path().join(name);
     std::fs::write(&path, bytes).expect("writable");
     let options = GcpOptions { crs: Some("EPSG:25832".into()), ..GcpOptions::default() };
     gcp::read(&path, &options).map_err(|e| e.to_string())
@@ -150,4 +154,14 @@ fn what_cannot_be_read_is_one_line_with_its_row() {
     refused(plain.replace("P2", "\"P2"), &["row 3"]);
     refused(String::new(), &["row 1"]);
     refused("name;easting;northing\n".into(), &["list.csv", "point"]);
+}
+
+/// Programs name tables of text `.xls`, so that Excel opens them; what begins as its old workbooks do is GDAL's.
+#[test]
+fn a_table_of_text_may_be_named_as_a_workbook() {
+    let text = table(&TITLES[3], [0, 1, 2, 3], &Form { separator: "\t", decimal: ",", ..PLAIN });
+    assert_eq!(read_as("list.xls", text.as_bytes()).expect("text").gcps.len(), POINTS.len());
+    let workbook = [&[0xD0, 0xCF, 0x11, 0xE0, 0xA1, 0xB1, 0x1A, 0xE1][..], &[0; 600]].concat();
+    let said = read_as("list.xls", &workbook).expect_err("nothing is in it");
+    assert!(said.contains("list.xls") && said.contains("save it as .xlsx or as CSV"), "{said}");
 }

@@ -178,6 +178,20 @@ fn what_would_be_drawn_in_the_wrong_place_or_unit_is_refused() {
     }
 }
 
+/// Nothing is drawn of a model in which the usual value of "no height" fills every cell and is declared nowhere.
+#[test]
+fn a_model_without_any_height_is_refused() {
+    let folder = Folder::new();
+    let (model, out) = (folder.at("a.tif"), folder.at("o.tif"));
+    write(&model, CORNER, (40, 40), |_, _| -32_768.0);
+    for drawing in ["slope", "hillshade", "tri"] {
+        let run = autoref(&["dem", drawing, text(&model), "-o", text(&out)]);
+        let said = String::from_utf8_lossy(&run.stderr);
+        assert!(run.status.code() == Some(2) && said.contains("no cell has a height"), "{drawing}: {said}");
+        assert!(!out.exists(), "{drawing}");
+    }
+}
+
 /// A height that equals another source's nodata value stays a height to GDAL, which takes floats for equal that are ten
 /// steps apart.
 #[test]

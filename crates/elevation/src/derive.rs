@@ -11,7 +11,7 @@ use std::os::unix::ffi::OsStrExt;
 
 use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags};
 
-use autoref_raster::{Written, failed_to_write, is_cut_table};
+use autoref_raster::{HeightBand, Written, failed_to_write, is_cut_table};
 
 use crate::error::{Error, Result};
 use crate::gdal_call::{c_string, failure, last_error};
@@ -59,10 +59,14 @@ pub fn check_heights(model: &Path) -> Result<()> {
     if dataset.raster_count() == 0 {
         return Err(Error::unsupported(model, "it holds no raster", "give an elevation raster"));
     }
+    let band = dataset.rasterband(1).map_err(|e| Error::gdal(model, e))?;
+    let scale = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
+    let rule =
+        HeightBand { nodata: band.no_data_value(), scale, masked: false, metres_per_value: 1.0, unit_name: None };
     let mut found = false;
-    look(model, &dataset, |_| {
-        found = true;
-        ControlFlow::Break(())
+    look(model, &dataset, |v| {
+        found |= !rule.is_void(v);
+        if found { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
     if found {
         return Ok(());

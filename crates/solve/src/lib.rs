@@ -1,5 +1,6 @@
 //! From matches to a transform, with residuals: [`similarity`] in the plane and its [`adjustment`] (what a run uses),
-//! [`planar`] affine and projective on request, [`absolute`] and [`kraus`] in space, [`heights`] apart.
+//! [`planar`] affine and projective on request, [`absolute`] and [`kraus`] in space, [`heights`] apart; whether the
+//! residuals show a stretched or bent image: [`departure`].
 //!
 //! ```
 //! use autoref_raster::coords::{GeoTransform, PixelPoint};
@@ -17,11 +18,13 @@
 pub mod absolute;
 pub mod accuracy;
 pub mod adjustment;
+pub mod departure;
 pub mod heights;
 pub mod kraus;
 pub mod partial;
 pub mod planar;
 pub mod similarity;
+pub mod variance_ratio;
 pub mod weights;
 
 pub use adjustment::{PairResult, Solution, solve, solve_as};

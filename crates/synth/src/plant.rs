@@ -173,26 +173,42 @@ pub fn blurred(size: usize, blur_px: f64, covered: impl Fn(f64, f64) -> f64) -> 
             covered(x, y) as f32
         })
         .collect();
-    let sigma = blur_px * FINE as f64;
-    let reach = (3.5 * sigma).ceil() as i64;
-    let kernel: Vec<f32> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp() as f32).collect();
+    blur(&mut fine, n, blur_px * FINE as f64);
+    means(&fine, size)
+}
+
+/// Along the rows and then along the columns of n × n values; beyond them lies nothing.
+fn blur(fine: &mut [f32], n: usize, sigma: f64) {
+    let reach = (3.5 * sigma).ceil() as usize;
+    let weight = |k: usize| (-0.5 * ((k as f64 - reach as f64) / sigma).powi(2)).exp() as f32;
+    let kernel: Vec<f32> = (0..=2 * reach).map(weight).collect();
     let total: f32 = kernel.iter().sum();
-    for pass in 0..2 {
-        let (step, other) = if pass == 0 { (1, n) } else { (n, 1) };
-        let mut out = vec![0f32; n * n];
-        for line in 0..n {
-            for i in 0..n {
-                let first = (i as i64 - reach).max(0) as usize;
-                let last = (i + reach as usize).min(n - 1);
-                let mut sum = 0.0;
-                for j in first..=last {
-                    sum += fine[line * other + j * step] * kernel[(j as i64 - i as i64 + reach) as usize];
-                }
-                out[line * other + i * step] = sum / total;
-            }
+    let mut padded = vec![0f32; n + 2 * reach];
+    for row in fine.chunks_exact_mut(n) {
+        padded[reach..reach + n].copy_from_slice(row);
+        row.fill(0.0);
+        for (k, weight) in kernel.iter().enumerate() {
+            add(row, &padded[k..k + n], *weight);
         }
-        fine = out;
+        row.iter_mut().for_each(|sum| *sum /= total);
     }
+    let rows = fine.to_vec();
+    for (i, row) in fine.chunks_exact_mut(n).enumerate() {
+        row.fill(0.0);
+        for (j, along) in rows.chunks_exact(n).enumerate().take(i + reach + 1).skip(i.saturating_sub(reach)) {
+            add(row, along, kernel[j + reach - i]);
+        }
+        row.iter_mut().for_each(|sum| *sum /= total);
+    }
+}
+
+fn add(sums: &mut [f32], values: &[f32], weight: f32) {
+    sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value * weight);
+}
+
+/// The mean of each pixel's cells.
+fn means(fine: &[f32], size: usize) -> Vec<f64> {
+    let n = size * FINE;
     (0..size * size)
         .map(|i| {
             let (x, y) = (i % size * FINE, i / size * FINE);

@@ -129,7 +129,7 @@ pub(super) fn read_line(path: &Path, file: &mut BufReader<File>, line: &mut u64,
             bytes.starts_with(&[0xFF, 0xFE]) || bytes.starts_with(&[0xFE, 0xFF]) || zeros * 5 > bytes.len() * 2;
         let what = match is_wide && bytes.len() < MOST_LINE_BYTES {
             true => "this is a table in UTF-16: save it as text in UTF-8",
-            false => "this is neither LAS, LAZ, PLY, E57 nor a table of text",
+            false => "this is no point cloud: neither LAS, LAZ, PLY, E57 nor a table of text",
         };
         return Err(Error::format(path, format!("line {line}"), what));
     }

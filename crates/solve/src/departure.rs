@@ -2,10 +2,19 @@
 
 use nalgebra::{Complex, DMatrix, DVector, RowDVector};
 
-use super::MatchRow;
+use crate::variance_ratio::chance_of_share;
 use autoref_raster::coords::{Handedness, PixelPoint};
 
 type Number = Complex<f64>;
+
+/// What a fit leaves at a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Residual {
+    pub pixel: PixelPoint,
+    /// Surveyed less fitted, or the other way round, the same for all.
+    pub east_m: f64,
+    pub north_m: f64,
+}
 
 /// How an image departs from a similarity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,28 +67,24 @@ struct Left {
 }
 
 impl Departure {
-    /// The kind that explains the residuals of `rows` best, if one does: chance leaves that little once in some
+    /// The kind that explains the residuals of a similarity best, if one does: chance leaves that little once in some
     /// thousand fits, and points that are left out of it are nearer too. `middle` is that of the image.
-    ///
-    /// With σ of a coordinate unknown, S₁/S₀ of two nested fits has the distribution of F; written with x = S₁/S₀ and
-    /// k further coordinates of terms, p = x^(ν/2) · Σ (ν/2)ᵢ (1 − x)ⁱ / i! over i < k/2 (M. Abramowitz, I. Stegun,
-    /// "Handbook of mathematical functions", 1964, 26.6.4).
-    pub fn of(rows: &[MatchRow], handedness: Handedness, middle: PixelPoint) -> Option<Departure> {
+    pub fn of(residuals: &[Residual], handedness: Handedness, middle: PixelPoint) -> Option<Departure> {
         /// Chance does as well in so many fits.
         const CHANCE: f64 = 3e-4;
         /// Points left out must be nearer by this factor: one wrong point bends a fit, and is farther off it when it is
         /// left out.
         const SHARE: f64 = 0.7;
-        let reach_px = rows.iter().map(|row| (row.x - middle.x).hypot(row.y - middle.y)).fold(1.0, f64::max);
-        let places: Vec<Number> =
-            rows.iter().map(|row| place(PixelPoint { x: row.x, y: row.y }, handedness, middle, reach_px)).collect();
-        let residuals: Vec<Number> = rows.iter().map(|row| Number::new(row.residual_e_m, row.residual_n_m)).collect();
+        let from_middle_px = |p: PixelPoint| (p.x - middle.x).hypot(p.y - middle.y);
+        let reach_px = residuals.iter().map(|at| from_middle_px(at.pixel)).fold(1.0, f64::max);
+        let places: Vec<Number> = residuals.iter().map(|at| place(at.pixel, handedness, middle, reach_px)).collect();
+        let residuals: Vec<Number> = residuals.iter().map(|at| Number::new(at.east_m, at.north_m)).collect();
         let plain = fitted(&places, &residuals, |u| vec![Number::new(1.0, 0.0), u])?;
         let explains = |shape: Shape| {
             let left = fitted(&places, &residuals, |u| shape.terms(u))?;
             let terms = left.coefficients.len();
-            let freedom = 2 * (rows.len() - terms);
-            let chance = chance_of(left.squares / plain.squares, freedom, 2 * (terms - 2));
+            let freedom = 2 * (places.len() - terms);
+            let chance = chance_of_share(left.squares / plain.squares, freedom, 2 * (terms - 2));
             (chance < CHANCE && left.left_out < SHARE * plain.left_out).then_some((shape, left))
         };
         let found = Shape::ALL.into_iter().filter_map(explains);
@@ -140,18 +145,6 @@ fn fitted(places: &[Number], values: &[Number], terms: impl Fn(Number) -> Vec<Nu
     Some(Left { squares, left_out, coefficients: coefficients.iter().copied().collect(), inverse })
 }
 
-/// How often chance leaves so small a share of the squares: `freedom` coordinates are left, `further` (an even number)
-/// were spent on the terms.
-fn chance_of(share: f64, freedom: usize, further: usize) -> f64 {
-    let (share, half) = (share.clamp(0.0, 1.0), freedom as f64 / 2.0);
-    let (mut term, mut sum) = (1.0, 0.0);
-    for i in 0..further / 2 {
-        sum += term;
-        term *= (half + i as f64) * (1.0 - share) / (i + 1) as f64;
-    }
-    share.powf(half) * sum
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -160,24 +153,18 @@ mod tests {
     const MIDDLE: PixelPoint = PixelPoint { x: 1000.0, y: 750.0 };
 
     /// Marks all over the image, with a departure in metres and noise of 1 cm.
-    fn rows(n: usize, random: &mut SplitMix64, departs: impl Fn(Number) -> Number) -> Vec<MatchRow> {
-        let row = |_| {
-            let (x, y) = (2000.0 * random.unit(), 1500.0 * random.unit());
-            let off = departs(Number::new((x - MIDDLE.x) / 1250.0, -(y - MIDDLE.y) / 1250.0));
-            serde_json::from_value(serde_json::json!({
-                "gcp": "A", "x": x, "y": y, "easting": 0.0, "northing": 0.0, "height": null, "survey_sigma_m": null,
-                "residual_e_m": off.re + 0.01 * random.normal(), "residual_n_m": off.im + 0.01 * random.normal(),
-                "residual_px": 0.0, "covariance_px2": null, "score": 9.0, "found_by": "scan", "leave_one_out_m": null,
-                "redundancy": null, "detectable_blunder_m": null, "outlier": false
-            }))
-            .expect("a row")
+    fn drawn(n: usize, random: &mut SplitMix64, departs: impl Fn(Number) -> Number) -> Vec<Residual> {
+        let residual = |_| {
+            let pixel = PixelPoint { x: 2000.0 * random.unit(), y: 1500.0 * random.unit() };
+            let off = departs(Number::new((pixel.x - MIDDLE.x) / 1250.0, -(pixel.y - MIDDLE.y) / 1250.0));
+            Residual { pixel, east_m: off.re + 0.01 * random.normal(), north_m: off.im + 0.01 * random.normal() }
         };
-        (0..n).map(row).collect()
+        (0..n).map(residual).collect()
     }
 
     fn told(n: usize, draws: usize, departs: impl Fn(Number) -> Number + Copy) -> Vec<Shape> {
         let mut random = SplitMix64(7);
-        let draw = |_| Departure::of(&rows(n, &mut random, departs), Handedness::AsIs, MIDDLE).map(|d| d.shape);
+        let draw = |_| Departure::of(&drawn(n, &mut random, departs), Handedness::AsIs, MIDDLE).map(|d| d.shape);
         (0..draws).filter_map(draw).collect()
     }
 
@@ -200,26 +187,18 @@ mod tests {
 
     #[test]
     fn a_corner_is_as_far_off_as_the_shape_takes_it() {
-        let rows = rows(14, &mut SplitMix64(3), |u| 0.4 * u * u.norm_sqr());
-        let found = Departure::of(&rows, Handedness::AsIs, MIDDLE).expect("a dome");
+        let all = drawn(14, &mut SplitMix64(3), |u| 0.4 * u * u.norm_sqr());
+        let found = Departure::of(&all, Handedness::AsIs, MIDDLE).expect("a dome");
         let corner = found.at_m(PixelPoint { x: 0.0, y: 0.0 }).expect("marks all over the image tell");
         assert!((corner - 0.4).abs() < 0.05, "{corner}");
         assert!(found.left_m < 0.03, "{}", found.left_m);
         // Of marks along a road nobody knows the bend beside it.
-        let road: Vec<MatchRow> = rows.iter().cloned().map(|row| MatchRow { y: 735.0 + 0.02 * row.y, ..row }).collect();
+        let beside = |at: &Residual| PixelPoint { y: 735.0 + 0.02 * at.pixel.y, ..at.pixel };
+        let road: Vec<Residual> = all.iter().map(|at| Residual { pixel: beside(at), ..*at }).collect();
         let along = Departure::of(&road, Handedness::AsIs, MIDDLE);
         assert!(along.is_none_or(|along| along.at_m(PixelPoint { x: 0.0, y: 0.0 }).is_none()));
         // Turned over, only a mirrored similarity takes it.
-        let mirrored = Departure::of(&rows, Handedness::Mirrored, MIDDLE);
+        let mirrored = Departure::of(&all, Handedness::Mirrored, MIDDLE);
         assert!(mirrored.is_none_or(|found| found.shape != Shape::Domed));
-    }
-
-    #[test]
-    fn the_chance_is_that_of_f() {
-        // F with 2 and 10 degrees of freedom exceeds 4.1028 in 5 of 100 cases, with 8 and 10 it exceeds 3.0717.
-        for (f, further) in [(4.1028, 2), (3.0717, 8)] {
-            let share = 1.0 / (1.0 + f * further as f64 / 10.0);
-            assert!((chance_of(share, 10, further) - 0.05).abs() < 2e-5);
-        }
     }
 }
