@@ -1,6 +1,7 @@
 //! The candidates as a field of points: nearest point, points at a distance, local density.
 
 use autoref_raster::coords::PixelPoint;
+use autoref_raster::ranks::upper_median;
 
 /// Points in buckets of two square grids.
 pub struct Field {
@@ -85,9 +86,7 @@ impl Field {
         assert_eq!(sizes_px.len(), self.points.len(), "a size for every point");
         let known = |side: &f64| if *side > 0.0 { *side } else { UNKNOWN_SIZE_PX };
         sizes_px.iter_mut().for_each(|side| *side = known(side));
-        let mut sorted = sizes_px.clone();
-        sorted.sort_by(f64::total_cmp);
-        let usual_px = sorted.get(sorted.len() / 2).copied().unwrap_or(UNKNOWN_SIZE_PX);
+        let usual_px = upper_median(&mut sizes_px.clone()).unwrap_or(UNKNOWN_SIZE_PX);
         // A roof among the marks must not make a whole quarter one place.
         sizes_px.iter_mut().for_each(|side| *side = side.min(2.0 * usual_px));
         self.usual_size_px = usual_px;

@@ -10,6 +10,7 @@ use crate::matching::draws::Draws;
 use crate::matching::field::Field;
 use crate::matching::search::LONG;
 use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_raster::ranks::upper_median;
 
 /// Share of the points that lie on others, at least.
 const REPEATED: f64 = 0.9;
@@ -110,8 +111,7 @@ fn usual_step(points: &[PixelPoint]) -> f64 {
         others.map(|q| square(points[i], *q)).fold(f64::INFINITY, least)
     };
     let mut steps: Vec<f64> = (0..points.len()).into_par_iter().map(|i| nearest(i).sqrt()).collect();
-    steps.sort_by(f64::total_cmp);
-    steps[steps.len() / 2]
+    upper_median(&mut steps).expect("a list is long")
 }
 
 /// Two points of the inner half, far from each other: what is moved by a few steps is still in the list.
