@@ -292,7 +292,7 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::matching::draws::Draws;
+    use autoref_raster::random::Mmix;
     use proptest::prelude::*;
 
     #[test]
@@ -306,9 +306,9 @@ mod tests {
 
     #[test]
     fn points_in_twos_have_company_and_even_ones_have_none() {
-        let mut draws = Draws::new(7);
+        let mut draws = Mmix(7);
         let even: Vec<PixelPoint> =
-            (0..300).map(|_| PixelPoint { x: 8000.0 * draws.uniform(), y: 6000.0 * draws.uniform() }).collect();
+            (0..300).map(|_| PixelPoint { x: 8000.0 * draws.unit(), y: 6000.0 * draws.unit() }).collect();
         let twos: Vec<PixelPoint> =
             even[..150].iter().flat_map(|p| [*p, PixelPoint { x: p.x + 20.0, y: p.y }]).collect();
         let (even, twos) = (Field::new(even, Some((8000.0, 6000.0))), Field::new(twos, Some((8000.0, 6000.0))));

@@ -31,7 +31,6 @@ mod bar;
 mod bitmap;
 pub mod diagnosis;
 pub(crate) mod doubtful;
-mod draws;
 mod duplicates;
 pub mod evidence;
 mod explain;

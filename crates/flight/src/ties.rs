@@ -206,10 +206,7 @@ mod tests {
 
     /// Numbers that look random.
     fn noise(seed: u64) -> u64 {
-        let mut z = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        autoref_raster::random::mix(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15))
     }
 
     fn descriptor(seed: u64) -> [u8; DESCRIPTOR] {
