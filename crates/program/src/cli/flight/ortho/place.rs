@@ -10,6 +10,7 @@ use autoref_flight::read::tables::Angles;
 use autoref_flight::read::{self, same_image};
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Error, Pose, SizeOf};
+use autoref_raster::bilinear::by_weights;
 use autoref_raster::bounded;
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::Error as RasterError;
@@ -253,8 +254,8 @@ impl Lattice {
         let k = j as usize * self.columns + i as usize;
         let t = h / NODE_HEIGHT_M;
         let node = |k: usize| self.nodes[k][0] * (1.0 - t) + self.nodes[k][1] * t;
-        (node(k) * (1.0 - a) + node(k + 1) * a) * (1.0 - b)
-            + (node(k + self.columns) * (1.0 - a) + node(k + self.columns + 1) * a) * b
+        let row = |k: usize| [node(k), node(k + 1)];
+        by_weights([row(k), row(k + self.columns)], [a, b])
     }
 }
 
