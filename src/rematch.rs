@@ -28,6 +28,7 @@ use crate::segment::label::{Labeller, Region};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
 use autoref_raster::mask::Mask;
+use autoref_raster::ranks::upper_median;
 use autoref_raster::window::Window;
 use autoref_raster::{RasterSource, View};
 
@@ -102,8 +103,7 @@ pub fn rematch(
 fn marks_elsewhere(scanned: &[Candidate], taken: &[Candidate]) -> Standing {
     const ALIKE: f64 = 3.0;
     let mut areas: Vec<f64> = taken.iter().filter_map(|mark| mark.area_px).collect();
-    areas.sort_by(f64::total_cmp);
-    let usual_px = areas.get(areas.len() / 2).copied();
+    let usual_px = upper_median(&mut areas);
     let is_mark = |candidate: &&Candidate| {
         let alike = candidate
             .area_px

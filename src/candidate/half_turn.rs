@@ -1,6 +1,7 @@
 //! A picture of shares of paint that is turned by half a turn onto itself: the middle about which it meets itself best,
 //! and how well that middle is known.
 
+use autoref_raster::bilinear::by_weights;
 use nalgebra::{Matrix2, Vector2};
 
 /// The middle moves no farther from where it was looked for.
@@ -42,7 +43,7 @@ impl Picture<'_> {
         let (column, row) = (x as usize, y as usize);
         let (u, v) = (x - column as f64, y - row as f64);
         let s = |dx: usize, dy: usize| self.shares[(row + dy) * self.width + column + dx];
-        Some((s(0, 0) * (1.0 - u) + s(1, 0) * u) * (1.0 - v) + (s(0, 1) * (1.0 - u) + s(1, 1) * u) * v)
+        Some(by_weights([[s(0, 0), s(1, 0)], [s(0, 1), s(1, 1)]], [u, v]))
     }
 
     /// The same with the slope: half the difference of the places a pixel ahead and a pixel behind.

@@ -11,6 +11,7 @@ use crate::detector::Detector;
 use crate::profile::Family;
 use crate::profile::Profile;
 use crate::segment::label::Region;
+use autoref_raster::bilinear::by_weights;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::mask::Mask;
@@ -262,8 +263,7 @@ fn bilinear(patch: &Patch, x: f64, y: f64) -> Option<f64> {
         patch.valid[i].then(|| level(patch.rgb[i], patch.white))
     };
     let (a, b) = (fx - x0, fy - y0);
-    let (upper, lower) = (at(0, 0)? * (1.0 - a) + at(1, 0)? * a, at(0, 1)? * (1.0 - a) + at(1, 1)? * a);
-    Some(upper * (1.0 - b) + lower * b)
+    Some(by_weights([[at(0, 0)?, at(1, 0)?], [at(0, 1)?, at(1, 1)?]], [a, b]))
 }
 
 /// Means of whole cells of `size` pixels on the tag and its quiet zone; `None` when a tenth of them is not there.

@@ -8,6 +8,7 @@ use super::units::Unit;
 use crate::gcp::Gcp;
 use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::ranks::upper_median;
 use autoref_raster::words::first_of;
 
 // As `tidy` leaves titles: small letters, blanks for underscores.
@@ -67,8 +68,7 @@ pub(super) fn no_survey(path: &Path, gcps: &[Gcp]) -> Option<String> {
     const COARSE_M: f64 = 1.0;
     let median = |of: fn(&Gcp) -> Option<f64>| {
         let mut stated: Vec<f64> = gcps.iter().filter_map(of).collect();
-        stated.sort_by(f64::total_cmp);
-        stated.get(stated.len() / 2).copied().filter(|sigma| *sigma > COARSE_M)
+        upper_median(&mut stated).filter(|sigma| *sigma > COARSE_M)
     };
     let sigma = median(|gcp| gcp.sigma_m).or_else(|| median(|gcp| gcp.sigma_height_m))?;
     Some(format!(

@@ -10,6 +10,7 @@ use std::collections::HashSet;
 use crate::gcp::columns::Columns;
 use crate::gcp::text::Row;
 use crate::gcp::titles::tidy;
+use autoref_raster::ranks::median;
 
 /// What a row says of the rows above.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -114,14 +115,10 @@ impl Values {
         }
         let sum: f64 = above.iter().sum();
         let (least, largest) = extremes(above);
-        let mut sorted = above.to_vec();
-        sorted.sort_by(f64::total_cmp);
-        let half = sorted.len() / 2;
-        let median = if sorted.len() % 2 == 1 { sorted[half] } else { (sorted[half - 1] + sorted[half]) / 2.0 };
         let squares: f64 = above.iter().map(|value| (value - sum / n).powi(2)).sum();
         let each = vec![
             (Statistic::Mean, sum / n),
-            (Statistic::Median, median),
+            (Statistic::Median, median(above.to_vec())),
             (Statistic::Largest, largest),
             (Statistic::Least, least),
             (Statistic::Range, largest - least),

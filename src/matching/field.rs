@@ -1,6 +1,7 @@
 //! The candidates as a field of points: nearest point, points at a distance, local density.
 
 use autoref_raster::coords::PixelPoint;
+use autoref_raster::ranks::upper_median;
 
 /// Points in buckets of two square grids.
 pub struct Field {
@@ -85,9 +86,7 @@ impl Field {
         assert_eq!(sizes_px.len(), self.points.len(), "a size for every point");
         let known = |side: &f64| if *side > 0.0 { *side } else { UNKNOWN_SIZE_PX };
         sizes_px.iter_mut().for_each(|side| *side = known(side));
-        let mut sorted = sizes_px.clone();
-        sorted.sort_by(f64::total_cmp);
-        let usual_px = sorted.get(sorted.len() / 2).copied().unwrap_or(UNKNOWN_SIZE_PX);
+        let usual_px = upper_median(&mut sizes_px.clone()).unwrap_or(UNKNOWN_SIZE_PX);
         // A roof among the marks must not make a whole quarter one place.
         sizes_px.iter_mut().for_each(|side| *side = side.min(2.0 * usual_px));
         self.usual_size_px = usual_px;
@@ -293,7 +292,7 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::matching::draws::Draws;
+    use autoref_raster::random::Mmix;
     use proptest::prelude::*;
 
     #[test]
@@ -307,9 +306,9 @@ mod tests {
 
     #[test]
     fn points_in_twos_have_company_and_even_ones_have_none() {
-        let mut draws = Draws::new(7);
+        let mut draws = Mmix(7);
         let even: Vec<PixelPoint> =
-            (0..300).map(|_| PixelPoint { x: 8000.0 * draws.uniform(), y: 6000.0 * draws.uniform() }).collect();
+            (0..300).map(|_| PixelPoint { x: 8000.0 * draws.unit(), y: 6000.0 * draws.unit() }).collect();
         let twos: Vec<PixelPoint> =
             even[..150].iter().flat_map(|p| [*p, PixelPoint { x: p.x + 20.0, y: p.y }]).collect();
         let (even, twos) = (Field::new(even, Some((8000.0, 6000.0))), Field::new(twos, Some((8000.0, 6000.0))));

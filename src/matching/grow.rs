@@ -249,18 +249,16 @@ mod tests {
     use super::*;
     use crate::candidate::Candidate;
     use crate::matching::Priors;
-    use crate::matching::draws::Draws;
     use autoref_raster::coords::GeoTransform;
+    use autoref_raster::random::Mmix;
 
     const SIDE_PX: f64 = 1100.0;
 
     /// A candidate every 19 px, 12 GCPs, and the first `marked` of them with their marks as the first candidates.
     fn dense_field(marked: usize) -> (Vec<Candidate>, Vec<MapPoint>) {
-        let mut draws = Draws::new(marked as u64 + 5);
-        let mut anywhere = || PixelPoint {
-            x: 20.0 + (SIDE_PX - 40.0) * draws.uniform(),
-            y: 20.0 + (SIDE_PX - 40.0) * draws.uniform(),
-        };
+        let mut draws = Mmix(marked as u64 + 5);
+        let mut anywhere =
+            || PixelPoint { x: 20.0 + (SIDE_PX - 40.0) * draws.unit(), y: 20.0 + (SIDE_PX - 40.0) * draws.unit() };
         let transform = GeoTransform([570_000.0, 0.024, 0.018, 7_032_000.0, 0.018, -0.024]);
         let places: Vec<PixelPoint> = (0..12).map(|_| anywhere()).collect();
         let gcps = places.iter().map(|p| transform.apply(*p)).collect();
@@ -303,13 +301,13 @@ mod tests {
 
     #[test]
     fn a_shoot_expects_what_least_squares_fit() {
-        let mut draws = Draws::new(3);
+        let mut draws = Mmix(3);
         let transform = GeoTransform([500.0, 0.3, 0.1, 900.0, 0.1, -0.3]);
         let mut shoot = Shoot::new();
         let mut pairs = Vec::new();
         for k in 0..5 {
-            let p = PixelPoint { x: 900.0 * draws.uniform(), y: 700.0 * draws.uniform() };
-            let map = transform.apply(PixelPoint { x: p.x + draws.uniform(), y: p.y + draws.uniform() });
+            let p = PixelPoint { x: 900.0 * draws.unit(), y: 700.0 * draws.unit() };
+            let map = transform.apply(PixelPoint { x: p.x + draws.unit(), y: p.y + draws.unit() });
             shoot = shoot.with(k, k, (map.easting - 500.0, map.northing - 900.0), p);
             pairs.push(autoref_solve::Pair { pixel: p, covariance_px2: None, map, survey_sigma_m: None });
         }

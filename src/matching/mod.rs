@@ -32,7 +32,6 @@ mod bitmap;
 pub(crate) mod close_core;
 pub mod diagnosis;
 pub(crate) mod doubtful;
-mod draws;
 mod duplicates;
 pub mod evidence;
 mod explain;
@@ -58,6 +57,7 @@ pub mod tpp;
 mod waiting;
 mod weigh;
 
+use autoref_raster::ranks::upper_median;
 use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
@@ -91,11 +91,9 @@ impl Priors {
     pub fn with_mark_sizes(&self, candidates: &[Candidate]) -> Priors {
         let mut sides: Vec<f64> =
             candidates.iter().filter_map(|c| c.size_px).map(|[w, h]| w.max(h)).filter(|side| *side > 0.0).collect();
-        if self.gsd_m_per_px.is_some() || sides.is_empty() {
+        let Some(median) = upper_median(&mut sides).filter(|_| self.gsd_m_per_px.is_none()) else {
             return self.clone();
-        }
-        sides.sort_by(f64::total_cmp);
-        let median = sides[sides.len() / 2];
+        };
         Priors { gsd_m_per_px: Some((MARK_SIDE_M.0 / median, MARK_SIDE_M.1 / median)), ..self.clone() }
     }
 }

@@ -3,9 +3,9 @@
 use rayon::prelude::*;
 
 use crate::matching::Priors;
-use crate::matching::draws::Draws;
 use crate::matching::field::Field;
 use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_raster::random::Mmix;
 
 /// Marks of a hypothesis closer together than this say nothing about scale and rotation.
 const SMALLEST_BASE_PX: f64 = 16.0;
@@ -133,7 +133,7 @@ fn sampled_distances(points: &[PixelPoint]) -> Vec<f64> {
             distances.extend((i + 1..n).map(|j| distance(i, j)));
         }
     } else {
-        let mut draws = Draws::new(0x2545_F491_4F6C_DD1D);
+        let mut draws = Mmix(0x2545_F491_4F6C_DD1D);
         while distances.len() < 100_000 {
             let (i, j) = (draws.below(n), draws.below(n));
             if i != j {

@@ -6,10 +6,11 @@
 use rayon::prelude::*;
 
 use crate::matching::Priors;
-use crate::matching::draws::Draws;
 use crate::matching::field::Field;
 use crate::matching::search::LONG;
 use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_raster::random::Mmix;
+use autoref_raster::ranks::upper_median;
 
 /// Share of the points that lie on others, at least.
 const REPEATED: f64 = 0.9;
@@ -56,7 +57,7 @@ impl Repetition {
             return None;
         }
         let field = Field::new(points, None);
-        let mut draws = Draws::new(0x5851_F42D_4C95_7F2D);
+        let mut draws = Mmix(0x5851_F42D_4C95_7F2D);
         let most_turned_deg = priors.rotation_deg.map_or(180.0, |(_, half)| 2.0 * half);
         (0..BASES).find_map(|_| {
             let base = inner_pair(field.points(), &mut draws)?;
@@ -110,12 +111,11 @@ fn usual_step(points: &[PixelPoint]) -> f64 {
         others.map(|q| square(points[i], *q)).fold(f64::INFINITY, least)
     };
     let mut steps: Vec<f64> = (0..points.len()).into_par_iter().map(|i| nearest(i).sqrt()).collect();
-    steps.sort_by(f64::total_cmp);
-    steps[steps.len() / 2]
+    upper_median(&mut steps).expect("a list is long")
 }
 
 /// Two points of the inner half, far from each other: what is moved by a few steps is still in the list.
-fn inner_pair(points: &[PixelPoint], draws: &mut Draws) -> Option<(usize, usize)> {
+fn inner_pair(points: &[PixelPoint], draws: &mut Mmix) -> Option<(usize, usize)> {
     let from_middle = |p: PixelPoint| p.x.hypot(p.y);
     let mut inner: Vec<usize> = (0..points.len()).collect();
     inner.sort_by(|i, j| from_middle(points[*i]).total_cmp(&from_middle(points[*j])).then(i.cmp(j)));

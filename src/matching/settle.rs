@@ -7,6 +7,7 @@ use crate::matching::pairs::GcpPair;
 use crate::matching::predictions::spread_from_pair;
 use crate::matching::search::{Hypothesis, Search};
 use autoref_raster::coords::PixelPoint;
+use autoref_raster::ranks::median;
 use autoref_solve::Similarity;
 use autoref_solve::similarity::{Pair, fit_equal_weights};
 
@@ -164,17 +165,15 @@ pub(super) fn usual_noise_px(similarity: &Similarity, pairs: &[Pair]) -> f64 {
 
 /// 1σ of a coordinate, pixels, from the median length of the residuals.
 fn noise(similarity: &Similarity, pairs: &[Pair]) -> f64 {
-    let mut lengths: Vec<f64> = pairs
+    let lengths: Vec<f64> = pairs
         .iter()
         .map(|pair| {
             let p = similarity.invert(pair.map);
             (p.x - pair.pixel.x).hypot(p.y - pair.pixel.y)
         })
         .collect();
-    lengths.sort_by(f64::total_cmp);
     let n = lengths.len();
-    let median = (lengths[(n - 1) / 2] + lengths[n / 2]) / 2.0;
-    median / 1.1774 * (n as f64 / (n as f64 - 2.0).max(0.5)).sqrt()
+    median(lengths) / 1.1774 * (n as f64 / (n as f64 - 2.0).max(0.5)).sqrt()
 }
 
 pub(super) fn centre_and_spread(pairs: &[Pair]) -> (PixelPoint, f64) {

@@ -13,6 +13,7 @@ use crate::pipeline::{MarkDetector, ScanOutcome, scan};
 use crate::profile::colour::lab_from_srgb;
 use crate::profile::{Profile, srgb_of_hex};
 use autoref_raster::error::Result;
+use autoref_raster::ranks::upper_median;
 
 /// So many clusters are tried at most, the largest first.
 pub const MOST_CLUSTERS: usize = 8;
@@ -167,8 +168,7 @@ fn clusters(candidates: &[Candidate]) -> Vec<Vec<usize>> {
 fn median_colour(candidates: &[Candidate]) -> [u8; 3] {
     std::array::from_fn(|c| {
         let mut values: Vec<u8> = candidates.iter().filter_map(|candidate| candidate.paint.map(|p| p[c])).collect();
-        values.sort_unstable();
-        values.get(values.len() / 2).copied().unwrap_or(0)
+        upper_median(&mut values).unwrap_or(0)
     })
 }
 

@@ -10,6 +10,7 @@ use crate::pipeline::georeference::{FoundMark, Orientation};
 use crate::profile::colour::lab_from_srgb;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
+use autoref_raster::ranks::upper_median;
 use autoref_raster::window::Window;
 use autoref_raster::{Patch, RasterSource, read_patch};
 use autoref_solve::{Similarity, Solution};
@@ -147,8 +148,7 @@ pub fn reasons(
     paints.sort_unstable();
     let paint = paints.get(paints.len() / 2).copied();
     let mut sides: Vec<f64> = marks().filter_map(|found| found.mark.area_px.map(f64::sqrt)).collect();
-    sides.sort_by(f64::total_cmp);
-    let side_px = sides.get(sides.len() / 2).copied().unwrap_or(10.0).clamp(4.0, 100.0);
+    let side_px = upper_median(&mut sides).unwrap_or(10.0).clamp(4.0, 100.0);
     let least_area_px = least_whole_area_px(marks().map(|found| &found.mark));
     // Asked for when the first picture is looked at.
     let mut middle = None;

@@ -17,6 +17,7 @@ use crate::result::{MatchRow, RunResult};
 use autoref_raster::RasterSource;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::Result;
+use autoref_raster::ranks::upper_median;
 
 /// No more chips than this, whatever the list: a page must open.
 const MAX_CHIPS: usize = 400;
@@ -165,8 +166,7 @@ impl<'a> Plan<'a> {
         if sizes.is_empty() {
             sizes = result.candidates.iter().take(1000).filter_map(longest).collect();
         }
-        sizes.sort_by(f64::total_cmp);
-        let mark_px = sizes.get(sizes.len() / 2).copied().unwrap_or(16.0);
+        let mark_px = upper_median(&mut sizes).unwrap_or(16.0);
         let candidates =
             Candidates { total: result.candidates_found, dots: dots(&result.candidates), gallery: Vec::new() };
         Plan { result, by_centre, mark_px, points: Vec::new(), candidates, spots: Vec::new() }

@@ -1,6 +1,7 @@
 //! Residuals that are larger than an orthophoto's should be, and what they come of.
 
 use autoref_raster::coords::{Handedness, PixelPoint};
+use autoref_raster::ranks::upper_median;
 
 use super::{ChosenModel, MatchRow, RunResult, Twins};
 use crate::candidate::Candidate;
@@ -55,10 +56,9 @@ impl Misfit {
         let rows = &run.matches;
         let mut off_px = in_pieces(rows, &result.candidates);
         let marks = off_px.len();
-        if marks >= 3 && marks as f64 >= LEAST_IN_PIECES * rows.len() as f64 {
-            off_px.sort_unstable_by(f64::total_cmp);
+        let most = marks >= 3 && marks as f64 >= LEAST_IN_PIECES * rows.len() as f64;
+        if let Some(part_px) = upper_median(&mut off_px).filter(|_| most) {
             // The other halves of figures lie all the same way.
-            let part_px = off_px[marks / 2];
             let halves_px = Twins::of(result).map_or(0.0, |twins| HALF_WAY * twins.apart_px);
             let off_px = part_px.max(halves_px.min(MOST_PARTS * part_px));
             return Some(Misfit::InPieces { marks, of: rows.len(), off_px });
@@ -260,8 +260,7 @@ fn unlike_marks(rows: &[MatchRow], candidates: &[Candidate]) -> Option<Misfit> {
     if scores.len() < 3 || 2 * scores.len() < rows.len() {
         return None;
     }
-    scores.sort_unstable_by(f64::total_cmp);
-    let score = scores[scores.len() / 2];
+    let score = upper_median(&mut scores)?;
     let side = |row: &MatchRow| {
         let distance = |c: &Candidate| (c.centre.x - row.x).hypot(c.centre.y - row.y);
         let own = candidates.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))?;
@@ -269,8 +268,7 @@ fn unlike_marks(rows: &[MatchRow], candidates: &[Candidate]) -> Option<Misfit> {
         (distance(own) <= size_px).then_some(size_px)
     };
     let mut sides: Vec<f64> = rows.iter().filter_map(side).collect();
-    sides.sort_unstable_by(f64::total_cmp);
-    let off_px = sides.get(sides.len() / 2).copied().unwrap_or(0.0);
+    let off_px = upper_median(&mut sides).unwrap_or(0.0);
     SCORES.contains(&score).then_some(Misfit::Unlike { off_px })
 }
 

@@ -69,6 +69,7 @@ impl MaskFilters {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use autoref_raster::random::xorshift;
     use autoref_raster::window::Window;
     use proptest::prelude::*;
 
@@ -155,8 +156,7 @@ mod tests {
             let mut state = seed | 1;
             let mut source = Mask::new(whole);
             for (v, u) in (0..60).flat_map(|v| (0..130).map(move |u| (v, u))) {
-                state ^= state << 13; state ^= state >> 7; state ^= state << 17;
-                source.set(u, v, (state >> 33) % 10 < density);
+                source.set(u, v, (xorshift(&mut state) >> 33) % 10 < density);
             }
             let mut reference = source.clone();
             filters.apply(&mut reference);

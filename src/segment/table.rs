@@ -381,10 +381,10 @@ mod tests {
         for name in ["orange", "autoref-2016", "white-on-dark"] {
             let test = PaintTest::new(&Profile::builtin(name).expect("shipped")).expect("valid");
             let judge = Judge::of(&test).expect("its clouds are ellipsoids");
-            let mut random = 12_345u64;
+            let mut draws = autoref_raster::random::Mmix(12_345);
             let mut decided = [0u32; 3];
             for i in 0..4000 {
-                random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                let random = draws.next_u64();
                 let side = 1u8 << (i % 5);
                 let low = [24, 32, 40].map(|shift| (random >> shift) as u8 / side * side);
                 let (verdict, _) = judge.judge(low, low.map(|v| v + (side - 1)), Near::ALL);

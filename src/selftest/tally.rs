@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use crate::candidate::Candidate;
 use crate::matching::field::Field;
 use autoref_raster::coords::PixelPoint;
+use autoref_raster::ranks::upper_median;
 
 /// 97.5 % quantile of the standard normal distribution.
 const Z_95: f64 = 1.959_964;
@@ -110,8 +111,7 @@ impl Tally {
     /// Median of the absolute error of an axis, pixels; `None` when nothing was found.
     pub fn median_px(&self) -> Option<f64> {
         let mut absolute: Vec<f64> = self.errors.iter().flatten().map(|v| v.abs()).collect();
-        absolute.sort_by(f64::total_cmp);
-        absolute.get(absolute.len() / 2).copied()
+        upper_median(&mut absolute)
     }
 
     /// Root mean square of error over stated standard deviation: 1 is honest.

@@ -146,11 +146,8 @@ fn same(got: &Patch, expected: &Patch, what: &str) {
 
 /// A few windows of any shape, the same each time.
 fn some_windows(seed: usize, whole: Window) -> Vec<Window> {
-    let mut state = seed as u64 * 2_654_435_761 + 1;
-    let mut below = |limit: u64| {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 33) % limit
-    };
+    let mut draws = autoref_raster::random::Mmix(seed as u64 * 2_654_435_761 + 1);
+    let mut below = |limit: u64| draws.below(limit as usize) as u64;
     let mut windows = vec![whole];
     for _ in 0..3 {
         let (x, y) = (below(whole.width), below(whole.height));

@@ -1,6 +1,6 @@
 //! The page that shows what the steps took: plain HTML with drawings in it, no scripts, nothing fetched.
 
-use autoref_raster::markup::escaped;
+use autoref_raster::markup::{escaped, page_head};
 use std::fmt::Write;
 
 use crate::clean::{CleanReport, StepReport};
@@ -23,10 +23,7 @@ const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;m
 
 /// The page of one cloud.
 pub fn page(report: &CleanReport) -> String {
-    let mut out = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>Cleaned cloud</title><style>{STYLE}</style>"
-    );
+    let mut out = page_head("Cleaned cloud", STYLE);
     let summary = &report.summary;
     let _ = write!(
         out,

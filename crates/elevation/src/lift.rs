@@ -3,6 +3,7 @@
 use crate::crs::{Accuracy, Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M};
 use crate::error::Result;
 use crate::grid::Grid;
+use autoref_raster::bilinear::by_differences;
 
 /// Metres to add at every place of a model, on a lattice over its grid. Undulations of geoids are smooth beside the
 /// cells of a model: between the nodes the value is bilinear.
@@ -72,10 +73,9 @@ impl Lift {
         let ((i, u), (j, v)) = (split(x, self.step_px.0, self.columns), split(y, self.step_px.1, rows));
         let row = |j: usize| {
             let line = &self.values_m[j * self.columns + i..];
-            line[0] + u * (line[1] - line[0])
+            [line[0], line[1]]
         };
-        let (upper, lower) = (row(j), row(j + 1));
-        upper + v * (lower - upper)
+        by_differences([row(j), row(j + 1)], [u, v])
     }
 
     /// Least and largest value, metres.

@@ -8,6 +8,7 @@
 
 use std::collections::HashMap;
 
+use autoref_raster::random::Mmix;
 use nalgebra::Vector3;
 
 use crate::adjust::by_poses;
@@ -216,11 +217,8 @@ fn drawn_pose(block: &Reconstruction, seen: &[([f64; 2], Vector3<f64>)]) -> Opti
     };
     let near_px = (NEAR_SHARE * camera.f_px()).max(NEAR_PX);
     let agreeing = |pose: &Pose, px: f64| seen.iter().filter(|s| off(pose, s) < px).count();
-    let mut state = 0x9E37_79B9_7F4A_7C15u64;
-    let mut draw = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 33) as usize % seen.len()
-    };
+    let mut draws = Mmix(0x9E37_79B9_7F4A_7C15);
+    let mut draw = || draws.below(seen.len());
     let mut best: Option<(usize, Pose)> = None;
     for _ in 0..DRAWS {
         let three = [draw(), draw(), draw()];

@@ -3,6 +3,7 @@
 
 use std::f64::consts::{FRAC_PI_6, SQRT_2, TAU};
 
+use autoref_raster::ranks::upper_median;
 use nalgebra::Vector3;
 
 use crate::camera::Camera;
@@ -38,8 +39,7 @@ const SIGMAS: f64 = 3.0;
 pub fn lines(stations: &[Station], sigma_m: f64) -> Vec<Line> {
     let noise_m = SIGMAS * SQRT_2 * sigma_m;
     let mut steps: Vec<f64> = stations.windows(2).filter_map(|w| Some(length(between(&w[0], &w[1])?))).collect();
-    steps.sort_by(f64::total_cmp);
-    let longest_m = steps.get(steps.len() / 2).map_or(f64::INFINITY, |usual| LONG_STEP * usual + noise_m);
+    let longest_m = upper_median(&mut steps).map_or(f64::INFINITY, |usual| LONG_STEP * usual + noise_m);
     let mut lines: Vec<Line> = Vec::new();
     for (next, station) in stations.iter().enumerate() {
         if let Some(name) = &station.line {

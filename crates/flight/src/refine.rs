@@ -9,6 +9,7 @@
 use std::collections::BTreeMap;
 
 use autoref_raster::keys::cubic;
+use autoref_raster::ranks::upper_median;
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Matrix4, Vector2, Vector3, Vector4};
 use rayon::prelude::*;
 
@@ -149,8 +150,7 @@ pub fn taken(model: &Reconstruction, moved: &[Moved]) -> Option<Reconstruction> 
                 Some((x - pixel[0]).hypot(y - pixel[1]))
             })
             .collect();
-        let middle = all.len() / 2;
-        (!all.is_empty()).then(|| *all.select_nth_unstable_by(middle, f64::total_cmp).1)
+        upper_median(&mut all)
     };
     if missed(&laid, &after)? >= missed(model, &before)? {
         return None;
@@ -231,10 +231,8 @@ fn warp(common: impl Iterator<Item = [Vector2<f64>; 2]>, at: [Vector2<f64>; 2]) 
         found = normal.try_inverse()? * right;
         let missed: Vec<f64> =
             near.iter().map(|[p, q]| (q - found.transpose() * Vector3::new(p.x, p.y, 1.0)).norm()).collect();
-        let mut sorted = missed.clone();
-        let middle = sorted.len() / 2;
         // As absolute values weigh, but for those that fit as most do.
-        let usual = *sorted.select_nth_unstable_by(middle, f64::total_cmp).1 + 0.3;
+        let usual = upper_median(&mut missed.clone())? + 0.3;
         weights = missed.iter().map(|m| 1.0 / m.max(usual)).collect();
     }
     let warp = found.fixed_rows::<2>(0).transpose();

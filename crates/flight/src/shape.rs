@@ -2,6 +2,7 @@
 //! know how its frames lie to each other; as image points of made points, seen where the poses see them, this counts
 //! in an adjustment as measured ties do, while datum and scale stay free.
 
+use autoref_raster::ranks::upper_median;
 use nalgebra::Vector3;
 
 use crate::read::{Reconstruction, TiePoint};
@@ -73,6 +74,5 @@ fn seen_nearest(model: &Reconstruction, xyz: &Vector3<f64>, from: &Vector3<f64>)
 fn typical_step(centres: &[Vector3<f64>]) -> Option<f64> {
     let nearest = |c: &Vector3<f64>| centres.iter().map(|o| (o - c).norm()).filter(|d| *d > 0.0).min_by(f64::total_cmp);
     let mut steps: Vec<f64> = centres.iter().filter_map(nearest).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied()
+    upper_median(&mut steps)
 }

@@ -5,6 +5,7 @@
 //! features near the expected place are compared; matches that move otherwise than those around them are wrong; a
 //! second search goes by what moved together.
 
+use autoref_raster::ranks::upper_median_and_distance;
 use rayon::prelude::*;
 
 /// The length of a descriptor.
@@ -148,18 +149,11 @@ fn around(place: [f64; 2], pairs: &[(usize, usize)], a: &Features, but: Option<u
     near
 }
 
-/// The upper of the two in the middle.
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
-}
-
 /// How matches move, by coordinate: the median, and the median deviation from it.
 fn movement(members: &[usize], pairs: &[(usize, usize)], a: &Features, b: &Features) -> [(f64, f64); 2] {
     [0, 1].map(|c| {
-        let moved: Vec<f64> = members.iter().map(|k| b.at[pairs[*k].1][c] - a.at[pairs[*k].0][c]).collect();
-        let middle = median(moved.clone());
-        (middle, median(moved.into_iter().map(|v| (v - middle).abs()).collect()))
+        let mut moved: Vec<f64> = members.iter().map(|k| b.at[pairs[*k].1][c] - a.at[pairs[*k].0][c]).collect();
+        upper_median_and_distance(&mut moved).expect("a match has others around it")
     })
 }
 
@@ -212,10 +206,7 @@ mod tests {
 
     /// Numbers that look random.
     fn noise(seed: u64) -> u64 {
-        let mut z = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        autoref_raster::random::mix(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15))
     }
 
     fn descriptor(seed: u64) -> [u8; DESCRIPTOR] {

@@ -3,17 +3,14 @@
 use autoref_flight::camera::Camera;
 use autoref_flight::pose::{Pose, YawPitchRoll};
 use autoref_flight::resect::{ResectOptions, Seen, resect};
+use autoref_raster::random::SplitMix64;
 use nalgebra::Vector3;
 
-struct Draw(u64);
+struct Draw(SplitMix64);
 
 impl Draw {
     fn uniform(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+        low + (high - low) * self.0.unit()
     }
     fn normal(&mut self) -> f64 {
         let (u, v) = (self.uniform(1e-12, 1.0), self.uniform(0.0, 1.0));
@@ -44,7 +41,7 @@ fn set(draw: &mut Draw, n: usize, px: f64) -> (Camera, Vec<Seen>, Vector3<f64>) 
 
 #[test]
 fn clean_sets_name_no_blunder() {
-    let mut draw = Draw(2);
+    let mut draw = Draw(SplitMix64(2));
     let (mut stated, mut understated) = (0, 0);
     let trials = 60;
     for _ in 0..trials {
@@ -63,7 +60,7 @@ fn clean_sets_name_no_blunder() {
 
 #[test]
 fn the_wrong_point_is_named() {
-    let mut draw = Draw(3);
+    let mut draw = Draw(SplitMix64(3));
     let (mut right, mut also) = (0, 0);
     let trials = 60;
     for _ in 0..trials {
@@ -88,7 +85,7 @@ fn the_wrong_point_is_named() {
 /// Two of ten hide each other where all are judged together.
 #[test]
 fn several_wrong_points_do_not_hide_each_other() {
-    let mut draw = Draw(5);
+    let mut draw = Draw(SplitMix64(5));
     let (trials, mut right) = (24, 0);
     for trial in 0..trials {
         let (camera, mut seen, centre) = set(&mut draw, 10, 0.5);

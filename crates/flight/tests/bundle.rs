@@ -33,7 +33,7 @@ fn part(draw: &mut Draw, model: &Reconstruction, frames: std::ops::Range<usize>)
 /// A mapper's parts become one block, and frames that it left out join it, though a third of their ties are wrong.
 #[test]
 fn parts_are_joined_and_frames_left_out_are_placed() {
-    let mut draw = Draw(23);
+    let mut draw = Draw::new(23);
     let (truth, points) = block(&mut draw, 9, 900, 8);
     let names: Vec<&str> = truth.photographs.iter().map(|p| p.name.as_str()).collect();
     let (mut seen, mut measured) = (truth.clone(), points.clone());
@@ -73,7 +73,7 @@ fn parts_are_joined_and_frames_left_out_are_placed() {
 /// A large block is not adjusted for each frame that it grows by, and holds together all the same.
 #[test]
 fn a_long_line_grows_frame_by_frame() {
-    let mut draw = Draw(29);
+    let mut draw = Draw::new(29);
     let (truth, points) = block(&mut draw, 55, 1600, 8);
     let names: Vec<&str> = truth.photographs.iter().map(|p| p.name.as_str()).collect();
     let (mut seen, mut measured) = (truth.clone(), points.clone());
@@ -87,7 +87,7 @@ fn a_long_line_grows_frame_by_frame() {
 
 #[test]
 fn exact_measurements_give_the_exact_block() {
-    let mut draw = Draw(1);
+    let mut draw = Draw::new(1);
     let (truth, points) = block(&mut draw, 5, 150, 8);
     let start = shaken(&mut draw, &truth);
     let options = AdjustOptions { sigma_tie_px: Some(0.5), ..AdjustOptions::default() };
@@ -103,7 +103,7 @@ fn exact_measurements_give_the_exact_block() {
 #[test]
 fn a_block_without_ties_keeps_its_shape() {
     for seed in 0..6 {
-        let mut draw = Draw(400 + seed);
+        let mut draw = Draw::new(400 + seed);
         let (truth, points) = block(&mut draw, 6, 60, 8);
         let (mut seen, mut measured) = (truth.clone(), points.clone());
         noisy(&mut draw, &mut seen, &mut measured, 0.5, 2.0);
@@ -130,7 +130,7 @@ fn a_block_without_ties_keeps_its_shape() {
 /// Frames of a rig, each with a twin a decimetre beside it, are tied from station to station all the same.
 #[test]
 fn stations_of_a_rig_are_tied() {
-    let (mut model, _) = block(&mut Draw(77), 6, 60, 8);
+    let (mut model, _) = block(&mut Draw::new(77), 6, 60, 8);
     let twins = model.photographs.clone().into_iter().map(|mut twin| {
         twin.pose.centre += Vector3::new(0.1, 0.0, 0.0);
         twin.name.push_str("-twin");
@@ -150,7 +150,7 @@ fn stations_of_a_rig_are_tied() {
 /// An interior orientation that is held and wrong is said, though none of its parameters is adjusted.
 #[test]
 fn a_held_lens_that_is_not_as_stated_is_said() {
-    let mut draw = Draw(31);
+    let mut draw = Draw::new(31);
     let (truth, mut points) = block(&mut draw, 6, 600, 8);
     let mut seen = truth.clone();
     noisy(&mut draw, &mut seen, &mut points, 0.5, 0.05);
@@ -168,7 +168,7 @@ fn a_held_lens_that_is_not_as_stated_is_said() {
 /// Rays that are parallel tell nothing of the point, and take nothing from what others tell.
 #[test]
 fn a_tie_without_depth_costs_no_covariance() {
-    let mut draw = Draw(3);
+    let mut draw = Draw::new(3);
     let (truth, mut points) = block(&mut draw, 5, 150, 8);
     let mut start = truth.clone();
     noisy(&mut draw, &mut start, &mut points, 0.5, 1.0);
@@ -189,7 +189,7 @@ fn a_tie_without_depth_costs_no_covariance() {
 
 #[test]
 fn blunders_are_named() {
-    let mut draw = Draw(7);
+    let mut draw = Draw::new(7);
     let (truth, mut points) = block(&mut draw, 5, 200, 10);
     let mut start = shaken(&mut draw, &truth);
     noisy(&mut draw, &mut start, &mut points, 0.7, 5.0);
@@ -207,7 +207,7 @@ fn blunders_are_named() {
 /// As phones' heights put points of the street above the camera: nothing pulls a point that starts behind its cameras.
 #[test]
 fn a_gcp_whose_rough_survey_lies_behind_its_cameras_is_placed_by_its_rays() {
-    let mut draw = Draw(9);
+    let mut draw = Draw::new(9);
     let (start, mut points) = block(&mut draw, 5, 150, 8);
     let truth = points[2].xyz;
     points[2].xyz += Vector3::new(0.0, -16_000.0, 6000.0);
@@ -222,7 +222,7 @@ fn a_gcp_whose_rough_survey_lies_behind_its_cameras_is_placed_by_its_rays() {
 fn covariances_cover_the_errors() {
     // Normalised errors of positions, directions, focal length and points over many trials have an RMS of 1.
     let trials = if std::env::var_os("AUTOREF_LARGE").is_some() { 400 } else { 60 };
-    let mut draw = Draw(11);
+    let mut draw = Draw::new(11);
     let (truth, points) = block(&mut draw, 4, 60, 8);
     let mut sums = Normalised::default();
     for _ in 0..trials {
@@ -250,7 +250,7 @@ fn large_blocks_take_seconds() {
     let large: &[(usize, usize)] = &[(100, 200_000), (400, 400_000)];
     let blocks = if std::env::var_os("AUTOREF_LARGE").is_some() { large } else { &[(12, 1200)] };
     for &(frames, ties) in blocks {
-        let mut draw = Draw(5);
+        let mut draw = Draw::new(5);
         let (truth, mut points) = block(&mut draw, frames, ties, 12);
         let mut start = shaken(&mut draw, &truth);
         noisy(&mut draw, &mut start, &mut points, 0.7, 25.0);
@@ -298,7 +298,7 @@ fn dump(problem: &Problem, cost: f64, f_px: f64) -> String {
 /// A small problem that has one minimum: three starts must meet there.
 #[test]
 fn the_minimum_does_not_depend_on_the_start() {
-    let mut draw = Draw(3);
+    let mut draw = Draw::new(3);
     let (truth, mut points) = block(&mut draw, 3, 30, 5);
     let mut start = truth.clone();
     noisy(&mut draw, &mut start, &mut points, 1.0, 10.0);
@@ -350,7 +350,7 @@ fn gross_errors_of_precise_points_bend_nothing() {
         (&["G5"], |points| points[5].xyz.y -= 400.0),
         (&["G6"], |points| points[6].seen[0].1[0] += 700.0),
     ];
-    let mut draw = Draw(91);
+    let mut draw = Draw::new(91);
     let (mut model, mut points) = block(&mut draw, 6, 400, 16);
     points.iter_mut().for_each(|p| p.sigma = Vector3::repeat(0.05));
     noisy(&mut draw, &mut model, &mut points, 0.3, 0.05);
@@ -374,7 +374,7 @@ fn gross_errors_of_precise_points_bend_nothing() {
 /// A frame that looks the other way keeps no GCP from placing the block, and bends nothing.
 #[test]
 fn a_frame_with_a_wrong_pose_is_set_aside() {
-    let mut draw = Draw(61);
+    let mut draw = Draw::new(61);
     for ties in [0, 150] {
         let (truth, mut points) = block(&mut draw, 8, ties, 14);
         let mut model = truth.clone();
@@ -399,7 +399,7 @@ fn a_frame_with_a_wrong_pose_is_set_aside() {
 /// Where the ties say that a frame stands right, it is its GCPs that were measured wrong.
 #[test]
 fn a_frame_whose_ties_fit_stays() {
-    let mut draw = Draw(64);
+    let mut draw = Draw::new(64);
     let (mut model, mut points) = block(&mut draw, 8, 150, 14);
     noisy(&mut draw, &mut model, &mut points, 0.3, 0.5);
     let wrong = points.iter_mut().flat_map(|p| &mut p.seen).filter(|(frame, _)| *frame == 3);
@@ -413,7 +413,7 @@ fn a_frame_whose_ties_fit_stays() {
 /// One frame without any image point, and one with a single one, take no deviation from the others.
 #[test]
 fn frames_that_nothing_fixes_are_named() {
-    let mut draw = Draw(62);
+    let mut draw = Draw::new(62);
     let (truth, mut points) = block(&mut draw, 6, 0, 14);
     let mut model = truth.clone();
     noisy(&mut draw, &mut model, &mut points, 0.3, 0.5);
@@ -436,7 +436,7 @@ fn frames_that_nothing_fixes_are_named() {
 /// Each frame has a camera of its own: one without an image point, one with three, leave f and k1 of the others free.
 #[test]
 fn interiors_that_nothing_fixes_are_held() {
-    let mut draw = Draw(65);
+    let mut draw = Draw::new(65);
     let (truth, mut points) = block(&mut draw, 6, 0, 24);
     let mut model = truth.clone();
     model.cameras = (0..6).map(|i| Camera { name: format!("c{i}"), ..truth.cameras[0].clone() }).collect();
@@ -459,7 +459,7 @@ fn interiors_that_nothing_fixes_are_held() {
 /// Three GCPs in two photographs each, of which one looks the other way: it is not the GCPs that are missing.
 #[test]
 fn a_block_that_cannot_be_placed_says_why() {
-    let mut draw = Draw(63);
+    let mut draw = Draw::new(63);
     let (mut model, mut points) = block(&mut draw, 3, 0, 3);
     for (p, frames) in points.iter_mut().zip([[0, 1], [1, 2], [0, 1]]) {
         p.seen.retain(|(frame, _)| frames.contains(frame));

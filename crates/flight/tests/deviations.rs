@@ -68,7 +68,7 @@ fn ties_of_two_rays_have_right_deviations() {
         (Erring::Mixed, 0.6),
     ];
     for (erring, of_two) in cases {
-        let mut draw = Draw(41);
+        let mut draw = Draw::new(41);
         let (mut sums, mut sigma_tie, mut unstated) = (Normalised::default(), 0.0, 0);
         for trial in 0..trials {
             let (mut truth, points) = block(&mut draw, frames, ties, 8);
@@ -105,7 +105,7 @@ fn ties_of_two_rays_have_right_deviations() {
 #[test]
 fn what_errs_together_shows_in_the_deviations() {
     let trials = trials(25, 100);
-    let mut draw = Draw(17);
+    let mut draw = Draw::new(17);
     let (all, points) = block(&mut draw, 6, if trials >= 100 { 2000 } else { 800 }, 8);
     let mut short = all.clone();
     shorten(&mut draw, &mut short, 0.6);

@@ -12,7 +12,7 @@ use drawn::{Draw, block, noisy, shaken};
 /// Lists that are wrong as a whole: no hunt for blunders, one line, and the slip where one explains it.
 #[test]
 fn lists_that_are_wrong_as_a_whole_are_refused() {
-    let mut draw = Draw(81);
+    let mut draw = Draw::new(81);
     let (mut model, mut points) = block(&mut draw, 6, 400, 14);
     noisy(&mut draw, &mut model, &mut points, 0.3, 0.5);
     let start = shaken(&mut draw, &model);
@@ -40,7 +40,7 @@ fn lists_that_are_wrong_as_a_whole_are_refused() {
 /// deviations count it in.
 #[test]
 fn a_principal_point_that_is_held_and_wrong_is_said() {
-    let mut draw = Draw(82);
+    let mut draw = Draw::new(82);
     let camera = Camera::pinhole("c", [1500.0, 1200.0], 1480.0, [765.0, 592.0]);
     let mut model = Reconstruction { cameras: vec![camera.clone()], ..Reconstruction::default() };
     for i in 0..18 {
@@ -73,7 +73,7 @@ fn a_principal_point_that_is_held_and_wrong_is_said() {
     }
     noisy(&mut draw, &mut model, &mut points, 0.3, 0.02);
     let found = |at: [f64; 2], interior: Vec<(Parameter, Option<f64>)>| {
-        let mut start = shaken(&mut Draw(83), &model);
+        let mut start = shaken(&mut Draw::new(83), &model);
         start.cameras[0] = start.cameras[0].clone().with(Parameter::Cx, at[0]).with(Parameter::Cy, at[1]);
         let options = AdjustOptions { interior, sigma_image_px: 0.3, ..AdjustOptions::default() };
         adjust(&start, &points, &options).expect("adjusted")
@@ -100,7 +100,7 @@ fn a_principal_point_that_is_held_and_wrong_is_said() {
 /// Rows of a table that are exchanged, and one that is far off, bend no block that stands on positions alone.
 #[test]
 fn positions_that_are_grossly_wrong_are_left_out() {
-    let mut draw = Draw(83);
+    let mut draw = Draw::new(83);
     let (truth, _) = block(&mut draw, 9, 500, 0);
     let mut start = truth.clone();
     noisy(&mut draw, &mut start, &mut [], 0.5, 0.0);

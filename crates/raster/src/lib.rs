@@ -20,6 +20,7 @@
 //! ```
 
 pub mod atomic;
+pub mod bilinear;
 pub mod bounded;
 mod cache;
 pub mod cells;

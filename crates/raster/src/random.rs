@@ -38,6 +38,37 @@ impl SplitMix64 {
     }
 }
 
+/// A linear congruential generator of 64 bits with the multiplier and increment of D. E. Knuth's MMIX. Only the upper
+/// bits of its numbers look drawn.
+#[derive(Clone, Debug)]
+pub struct Mmix(pub u64);
+
+impl Mmix {
+    pub fn next_u64(&mut self) -> u64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0
+    }
+
+    /// A whole number below `n`, which is not 0.
+    pub fn below(&mut self, n: usize) -> usize {
+        (self.next_u64() >> 33) as usize % n
+    }
+
+    /// Uniform in [0, 1).
+    pub fn unit(&mut self) -> f64 {
+        unit(self.next_u64())
+    }
+}
+
+/// The next number after a state other than 0, and the next state (xorshift, G. Marsaglia, 2003).
+#[inline]
+pub fn xorshift(state: &mut u64) -> u64 {
+    *state ^= *state << 13;
+    *state ^= *state >> 7;
+    *state ^= *state << 17;
+    *state
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

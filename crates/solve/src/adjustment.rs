@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::similarity::{Pair, Similarity, Unsolvable, centres, fit, length, residual, upright};
 use crate::weights::{self, LEAST_SIGMA_PX, prior_variances};
 use autoref_raster::coords::{GeoTransform, Handedness, PixelPoint};
+use autoref_raster::ranks::median;
 use autoref_raster::words::counted;
 
 /// Baarda's √λ₀ for a significance of 0.1 % and a power of 80 %.
@@ -120,12 +121,9 @@ pub fn solve_as(pairs: &[Pair], mirrored: Handedness) -> Result<Solution, Unsolv
 /// Robust standard deviation of a coordinate of unit weight: the median of the weighted residual lengths, by the
 /// Rayleigh distribution's 1.1774.
 fn robust_sigma(lengths: &[f64], points: usize) -> f64 {
-    let mut sorted = lengths.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let median = (sorted[(sorted.len() - 1) / 2] + sorted[sorted.len() / 2]) / 2.0;
     // Four parameters swallow part of the residuals.
     let swallowed = (points as f64 / (points as f64 - 2.0)).sqrt();
-    median / 1.1774 * swallowed
+    median(lengths.to_vec()) / 1.1774 * swallowed
 }
 
 fn huber_weights(pairs: &[Pair], similarity: &Similarity, base: &[f64]) -> Vec<f64> {

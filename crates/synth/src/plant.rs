@@ -3,6 +3,7 @@
 
 use super::jpeg::{Chroma, jpeg_round_trip};
 use super::shape::{Figure, Shape};
+use autoref_raster::random::{unit, xorshift};
 use autoref_raster::srgb::{linear_from_srgb, srgb_from_linear};
 use gdal::raster::{Buffer, RasterCreationOptions};
 use gdal::{Dataset, DriverManager};
@@ -70,16 +71,13 @@ impl Picture {
     }
 }
 
-/// A small generator with a fixed seed (xorshift, G. Marsaglia, 2003).
+/// A small generator with a fixed seed, which is not 0.
 pub struct Random(pub u64);
 
 impl Random {
     /// Uniform in [0, 1).
     pub fn unit(&mut self) -> f64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+        unit(xorshift(&mut self.0))
     }
     /// Standard normal (Box–Muller).
     pub fn gauss(&mut self) -> f64 {

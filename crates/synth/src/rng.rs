@@ -1,6 +1,7 @@
 //! Random numbers that depend on a seed and a place, never on who asks first: the picture is the same for every thread
 //! count and every cut into windows.
 
+use autoref_raster::bilinear::by_differences;
 use autoref_raster::random::SplitMix64;
 pub use autoref_raster::random::mix;
 
@@ -107,9 +108,8 @@ pub fn value_noise(seed: u64, x: f32, y: f32) -> f32 {
     let (fx, fy) = (x - i as f32, y - j as f32);
     let (sx, sy) = (fx * fx * (3.0 - 2.0 * fx), fy * fy * (3.0 - 2.0 * fy));
     let at = |i, j| (hash2(seed, i, j) >> 40) as f32 * (1.0 / 16_777_216.0);
-    let top = at(i, j) + (at(i + 1, j) - at(i, j)) * sx;
-    let bottom = at(i, j + 1) + (at(i + 1, j + 1) - at(i, j + 1)) * sx;
-    top + (bottom - top) * sy
+    let line = |j| [at(i, j), at(i + 1, j)];
+    by_differences([line(j), line(j + 1)], [sx, sy])
 }
 
 #[cfg(test)]

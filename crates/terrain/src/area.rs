@@ -91,6 +91,7 @@ pub fn flip_small(mask: &mut BitMask, value: bool, share: f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use autoref_raster::random::xorshift;
     use proptest::prelude::*;
 
     /// Flood fill from every pixel.
@@ -132,10 +133,7 @@ mod tests {
             width in 1usize..90, height in 1usize..24, seed in any::<u64>(), share in 4u64..13, part in 0.0f64..0.2,
         ) {
             let mut state = seed | 1;
-            let mask = BitMask::from_fn(width, height, |_, _| {
-                state ^= state << 13; state ^= state >> 7; state ^= state << 17;
-                state % 16 < share
-            });
+            let mask = BitMask::from_fn(width, height, |_, _| xorshift(&mut state) % 16 < share);
             for value in [true, false] {
                 let mut ours = mask.clone();
                 flip_small(&mut ours, value, part);

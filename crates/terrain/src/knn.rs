@@ -130,11 +130,8 @@ mod tests {
 
     #[test]
     fn cells_give_what_all_samples_give() {
-        let mut state = 2017u64;
-        let mut random = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 33) as f64 / (1u64 << 31) as f64
-        };
+        let mut draws = autoref_raster::random::Mmix(2017);
+        let mut random = || (draws.next_u64() >> 33) as f64 / (1u64 << 31) as f64;
         let samples: Vec<Sample> = (0..200)
             .map(|_| {
                 let entropy = 2.0 + 5.0 * random();

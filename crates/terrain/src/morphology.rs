@@ -125,6 +125,7 @@ fn shift_up(row: &[u64], by: usize, out: &mut [u64]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use autoref_raster::random::xorshift;
     use proptest::prelude::*;
 
     fn by_definition(mask: &BitMask, kernel: &Kernel, any: bool) -> BitMask {
@@ -172,10 +173,7 @@ mod tests {
             width in 1usize..150, height in 1usize..24, size in 1usize..16, seed in any::<u64>(), share in 1u64..16,
         ) {
             let mut state = seed | 1;
-            let mask = BitMask::from_fn(width, height, |_, _| {
-                state ^= state << 13; state ^= state >> 7; state ^= state << 17;
-                state % 16 < share
-            });
+            let mask = BitMask::from_fn(width, height, |_, _| xorshift(&mut state) % 16 < share);
             let kernel = Kernel::ellipse(size);
             prop_assert_eq!(dilate(&mask, &kernel), by_definition(&mask, &kernel, true));
             prop_assert_eq!(erode(mask.clone(), &kernel), by_definition(&mask, &kernel, false));

@@ -162,13 +162,10 @@ mod tests {
 
     #[test]
     fn outlines_give_the_mask_again() {
-        let mut state = 7u64;
+        let mut draws = autoref_raster::random::Mmix(7);
         for round in 0..40u64 {
             let (width, height) = (1 + (round * 7 % 23) as usize, 1 + (round * 5 % 17) as usize);
-            let mask = BitMask::from_fn(width, height, |_, _| {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                (state >> 33) % 5 < 1 + round % 4
-            });
+            let mask = BitMask::from_fn(width, height, |_, _| draws.below(5) < 1 + round as usize % 4);
             let value: Value = serde_json::from_str(&polygons(&mask, [width, height], 1, "a.tif")).expect("JSON");
             for ring in value["features"]
                 .as_array()

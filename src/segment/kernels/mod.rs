@@ -152,16 +152,11 @@ impl Prefilter {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use autoref_raster::random::xorshift;
 
     fn noise(len: usize, seed: u64) -> Vec<u8> {
         let mut state = seed | 1;
-        let mut next = || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 32) as u8
-        };
-        (0..len).map(|_| next()).collect()
+        (0..len).map(|_| (xorshift(&mut state) >> 32) as u8).collect()
     }
 
     #[test]

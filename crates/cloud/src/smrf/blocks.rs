@@ -11,6 +11,7 @@ use crate::error::{Error, Result};
 use crate::point::Point;
 use crate::schema::array;
 use crate::tiles::Scratch;
+use autoref_raster::bilinear::by_differences;
 
 /// How a surface is cut. Part of the definition of the result where holes are wider than the halo.
 #[derive(Clone, Copy, Debug)]
@@ -286,9 +287,8 @@ impl Coarse {
         };
         let (west, east, across) = along(0, column, self.surface.columns);
         let (north, south, down) = along(1, row, self.surface.rows);
-        let mixed = |row: &[f64]| row[west] + across * (row[east] - row[west]);
-        let (north, south) = (mixed(self.surface.row(north)), mixed(self.surface.row(south)));
-        north + down * (south - north)
+        let corners = [north, south].map(|row| self.surface.row(row)).map(|row| [row[west], row[east]]);
+        by_differences(corners, [across, down])
     }
 }
 

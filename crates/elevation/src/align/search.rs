@@ -1,5 +1,6 @@
 //! From coarse to fine: where the shift may be, and the fit that ends there.
 
+use autoref_raster::ranks::upper_median_and_distance;
 use nalgebra::{DMatrix, DVector};
 
 use crate::error::Result;
@@ -143,10 +144,12 @@ fn starts(full: &Pair<'_>, levels: &[Level], options: &Options<'_>) -> Result<Ve
             let differs = |&(x, y, height): &(usize, usize, f64)| height - other[(y + dy) * patch.width + x + dx];
             differences.extend(samples.iter().map(differs).filter(|difference| !difference.is_nan()));
             let share = differences.len() as f64 / samples.len() as f64;
-            if differences.len() >= 20 && share >= 0.25 {
+            if differences.len() >= 20
+                && share >= 0.25
+                && let Some((_, spread)) = upper_median_and_distance(&mut differences)
+            {
                 // Little overlap fits by chance more easily.
-                let score = spread(&mut differences) * (1.5 - 0.5 * share);
-                scores.push((score, (dx as i64 + reach.x.0, dy as i64 + reach.y.0)));
+                scores.push((spread * (1.5 - 0.5 * share), (dx as i64 + reach.x.0, dy as i64 + reach.y.0)));
             }
         }
         scores
@@ -214,14 +217,6 @@ fn steep_cells(full: &Pair<'_>, model: &MemoryHeights) -> Vec<(usize, usize, f64
     cells.sort_by_key(|&(_, x, y)| (y, x));
     let step = cells.len().div_ceil(SEARCH_SAMPLES).max(1);
     cells.iter().step_by(step).map(|&(_, x, y)| (x, y, z[y * width + x])).collect()
-}
-
-/// Median distance from the median.
-fn spread(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    let median = *values.select_nth_unstable_by(middle, f64::total_cmp).1;
-    values.iter_mut().for_each(|v| *v = (*v - median).abs());
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// The nearest state whose shift is whole 64ths of a cell, and whose heights are of the scatter's power of two. How a

@@ -22,6 +22,7 @@ use std::collections::BinaryHeap;
 use std::path::Path;
 
 use autoref_raster::random::mix;
+use autoref_raster::ranks::upper_median;
 
 use crate::couple::{Couple, open_couple};
 use crate::error::{Error, Result};
@@ -121,8 +122,7 @@ impl First {
     /// A value near the median: that of the cells of the map.
     fn centre(&self) -> f32 {
         let mut differences: Vec<f32> = self.samples.iter().map(|sample| sample.1).collect();
-        let middle = differences.len() / 2;
-        if differences.is_empty() { 0.0 } else { *differences.select_nth_unstable_by(middle, f32::total_cmp).1 }
+        upper_median(&mut differences).unwrap_or(0.0)
     }
 
     fn places(&self, index: usize) -> Vec<(u64, u64)> {

@@ -5,9 +5,16 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::error::{Error, Result};
-use autoref_raster::markup::escaped;
+use autoref_raster::markup::{escaped, page_head};
 
 use super::summary::{Statistics, Summary};
+
+const STYLE: &str = "body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}\
+    table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .7em;border-bottom:1px solid #ddd;text-align:right}\
+    td:first-child,th:first-child,td:nth-child(2),th:nth-child(2){text-align:left}svg{max-width:100%}\
+    .bar{display:flex;flex-wrap:wrap;gap:.4em 1.4em;align-items:center}.bar label{display:flex;gap:.5em;align-items:center}\
+    #map{max-width:100%;cursor:crosshair;border:1px solid #999}#limit{width:6em}#legend{font-size:13px}\
+    .wide{overflow-x:auto}#readout{font-variant-numeric:tabular-nums}";
 
 /// Writes `report.html`.
 ///
@@ -32,16 +39,7 @@ fn whole(value: Option<f64>) -> String {
 }
 
 fn page(summary: &Summary, map: &serde_json::Value) -> String {
-    let mut out = String::from(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>Elevation models compared</title><style>\
-         body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}\
-         table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .7em;border-bottom:1px solid #ddd;text-align:right}\
-         td:first-child,th:first-child,td:nth-child(2),th:nth-child(2){text-align:left}svg{max-width:100%}\
-         .bar{display:flex;flex-wrap:wrap;gap:.4em 1.4em;align-items:center}.bar label{display:flex;gap:.5em;align-items:center}\
-         #map{max-width:100%;cursor:crosshair;border:1px solid #999}#limit{width:6em}#legend{font-size:13px}\
-         .wide{overflow-x:auto}#readout{font-variant-numeric:tabular-nums}</style>",
-    );
+    let mut out = page_head("Elevation models compared", STYLE);
     let _ = write!(
         out,
         "<h1>{} − {}</h1><p>A is {}, B is {}.</p><p>Differences are A − B in metres, on the grid of B, {} resampling; \

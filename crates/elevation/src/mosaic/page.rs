@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::grid::Grid;
-use autoref_raster::markup::escaped;
+use autoref_raster::markup::{escaped, page_head};
 
 use super::balance::{Balance, DifferenceMap, Overlap};
 use autoref_raster::words::counted;
@@ -13,6 +13,10 @@ use autoref_raster::words::counted;
 const MOST_ROWS: usize = 300;
 /// Bars of the drawing at most.
 const MOST_BARS: usize = 60;
+const STYLE: &str = "body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}\
+    table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .7em;border-bottom:1px solid #ddd;text-align:right}\
+    td.t,th.t{text-align:left}svg{max-width:100%;height:auto}.pair{display:grid;grid-template-columns:1fr 1fr;gap:1em}\
+    figure{margin:0}.wide{overflow-x:auto}.dot{display:inline-block;width:.8em;height:.8em;border-radius:50%}";
 
 fn name(path: &Path) -> String {
     escaped(&path.file_name().unwrap_or_default().to_string_lossy())
@@ -20,14 +24,7 @@ fn name(path: &Path) -> String {
 
 /// The page.
 pub fn text(sources: &[(&Path, Grid)], mosaic: &Grid, balance: &Balance) -> String {
-    let mut out = String::from(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>Overlaps of a mosaic</title><style>\
-         body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em auto;padding:0 1em;color:#222}\
-         table{border-collapse:collapse;margin:1em 0}td,th{padding:.2em .7em;border-bottom:1px solid #ddd;text-align:right}\
-         td.t,th.t{text-align:left}svg{max-width:100%;height:auto}.pair{display:grid;grid-template-columns:1fr 1fr;gap:1em}\
-         figure{margin:0}.wide{overflow-x:auto}.dot{display:inline-block;width:.8em;height:.8em;border-radius:50%}</style>",
-    );
+    let mut out = page_head("Overlaps of a mosaic", STYLE);
     let overlaps = &balance.overlaps;
     let rms = |of: &dyn Fn(&Overlap) -> f64| {
         let n: usize = overlaps.iter().map(|o| o.blocks).sum();

@@ -2,6 +2,7 @@
 
 use super::{Values, count};
 use crate::stack::Grid;
+use autoref_raster::bilinear::by_differences;
 
 /// Half the side of the disc that is compared, millimetres.
 const DISC_MM: f64 = 1.6;
@@ -350,9 +351,8 @@ impl Field {
                         let (i, j) = (clamp(i as i64 + di, self.width), clamp(j as i64 + dj, self.height));
                         f64::from(w[(j * self.width + i) as usize])
                     };
-                    let top = value(0, 0) + (value(1, 0) - value(0, 0)) * (fx - i);
-                    let bottom = value(0, 1) + (value(1, 1) - value(0, 1)) * (fx - i);
-                    top + (bottom - top) * (fy - j)
+                    let line = |dj: i64| [value(0, dj), value(1, dj)];
+                    by_differences([line(0), line(1)], [fx - i, fy - j])
                 })
                 .sum();
             *out = (sum / known.len().max(1) as f64) as f32;

@@ -15,6 +15,7 @@ use crate::interior::Pose;
 use crate::template::Model;
 use crate::types::Camera;
 use crate::window::grey_info;
+use autoref_raster::bilinear::by_differences;
 use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::error::{Error, Result};
 use autoref_raster::window::Window;
@@ -54,9 +55,8 @@ impl Exposed {
             let (x, y) = (x.clamp(0.0, *width as f64 - 1.0) as usize, y.clamp(0.0, *height as f64 - 1.0) as usize);
             f32::from(data[y * width + x])
         };
-        let line = |y: f64| value(i, y) + (value(i + 1.0, y) - value(i, y)) * fx;
-        let (top, bottom) = (line(j), line(j + 1.0));
-        (top + (bottom - top) * fy) / 255.0
+        let line = |y: f64| [value(i, y), value(i + 1.0, y)];
+        by_differences([line(j), line(j + 1.0)], [fx, fy]) / 255.0
     }
 }
 

@@ -6,6 +6,7 @@ use super::{Exposed, FilmGround, FilmMark, FilmSpec, GreyPhoto};
 use crate::interior::Pose;
 use crate::template::{Model, invert};
 use crate::types::Camera;
+use autoref_raster::bilinear::by_differences;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::window::Window;
 use autoref_synth::rng::{Rng, hash2, value_noise};
@@ -289,10 +290,9 @@ impl Painter {
                 let [left, right] = [x0, x0 + 1].map(|x| fold(x, photo.width));
                 let line = |y: i64| {
                     let row = &photo.data[fold(y, photo.height) * photo.width..][..photo.width];
-                    f32::from(row[left]) + (f32::from(row[right]) - f32::from(row[left])) * fx
+                    [f32::from(row[left]), f32::from(row[right])]
                 };
-                let (top, bottom) = (line(y0), line(y0 + 1));
-                (top + (bottom - top) * fy) / 255.0
+                by_differences([line(y0), line(y0 + 1)], [fx, fy]) / 255.0
             }
             Picture::Noise => {
                 let octave = |k: u32| {

@@ -16,7 +16,7 @@ use crate::types::{Camera, InteriorOrientation};
 use crate::window::read_grey;
 use autoref_raster::RasterSource;
 use autoref_raster::error::Result;
-use autoref_raster::ranks::median;
+use autoref_raster::ranks::{median, upper_median};
 use autoref_raster::window::Window;
 
 /// Cells along a side of the image.
@@ -94,8 +94,7 @@ pub fn cells(
     sorted.sort_by(f32::total_cmp);
     let black = sorted.get((BLACK_SHARE * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
     let median = |mut cell: Vec<f32>| {
-        cell.sort_by(f32::total_cmp);
-        let middle = *cell.get(cell.len() / 2)?;
+        let middle = upper_median(&mut cell)?;
         // Without grey steps nothing can be said of light.
         (middle > black + 0.004 && middle < 0.985).then(|| f64::from(middle - black))
     };

@@ -1,5 +1,6 @@
 //! The datum: a reconstruction brought to the ground as it is, by a similarity.
 
+use autoref_raster::ranks::upper_median;
 use nalgebra::{Matrix3, Vector3};
 
 use super::options::RoughPose;
@@ -139,8 +140,7 @@ fn by_rough_poses(model: &Reconstruction, rough: &[Option<RoughPose>]) -> Option
         all().filter(|(_, r)| r.sigma_rad.is_finite()).map(|(p, r)| (p, &r.pose)).collect();
     let (from, to): (Vec<_>, Vec<_>) = all().map(|(p, r)| (p.centre, r.pose.centre)).unzip();
     let mut sigmas: Vec<f64> = all().map(|(_, r)| r.sigma_m.max()).collect();
-    sigmas.sort_by(f64::total_cmp);
-    let spread = sigmas.get(sigmas.len() / 2).is_some_and(|sigma_m| line::spread(&to).across > *sigma_m);
+    let spread = upper_median(&mut sigmas).is_some_and(|sigma_m| line::spread(&to).across > sigma_m);
     if pairs.len() < 2 || spread {
         let by_positions = (from.len() >= 3).then(|| datum(&from, &to)).flatten();
         if by_positions.is_some() || pairs.len() < 2 {

@@ -1,5 +1,6 @@
 //! Points that miss by more than is stated of them.
 
+use autoref_raster::ranks::upper_median;
 use nalgebra::{Matrix2x3, Matrix3, Vector3};
 
 use super::adjusted::AdjustedPoint;
@@ -53,8 +54,7 @@ pub(super) fn deviations_of_check_points(
 }
 
 fn middle(mut all: Vec<f64>) -> Option<f64> {
-    all.sort_by(f64::total_cmp);
-    if all.len() < FEWEST { None } else { all.get(all.len() / 2).copied() }
+    if all.len() < FEWEST { None } else { upper_median(&mut all) }
 }
 
 /// The covariance of the place where the rays of a point meet, of its measurement alone.

@@ -1,5 +1,6 @@
 //! Positions of cameras that place a block alone, tested as GCPs are elsewhere.
 
+use autoref_raster::ranks::upper_median;
 use nalgebra::{Matrix3, Vector3};
 
 use super::snooping::{LOSS, snooped};
@@ -52,10 +53,8 @@ pub(super) fn set_aside(problem: &mut Problem) -> Vec<Aside> {
     let pairs = steps.flat_map(|step| all.iter().zip(&all[step..]));
     let mut scales: Vec<f64> = pairs.map(|(a, b)| (a.2 - b.2).norm() / (a.1 - b.1).norm()).collect();
     scales.retain(|s| s.is_finite());
-    if scales.is_empty() {
-        return Vec::new();
-    }
-    let scale = middle(scales);
+    let Some(scale) = upper_median(&mut scales) else { return Vec::new() };
+    let middle = |mut values: Vec<f64>| upper_median(&mut values).expect("there are LEAST positions or more");
     let shift = Vector3::from_fn(|k, _| middle(all.iter().map(|(_, from, to, _)| to[k] - scale * from[k]).collect()));
     let miss = |from: &Vector3<f64>, to: &Vector3<f64>| (to - from * scale - shift).norm();
     let usual = middle(all.iter().map(|(_, from, to, _)| miss(from, to)).collect());
@@ -72,11 +71,6 @@ pub(super) fn set_aside(problem: &mut Problem) -> Vec<Aside> {
     }
     aside.iter().for_each(|one| problem.frames[one.frame].position = None);
     aside
-}
-
-fn middle(mut values: Vec<f64>) -> f64 {
-    let at = values.len() / 2;
-    *values.select_nth_unstable_by(at, f64::total_cmp).1
 }
 
 /// Adjusts, takes the position out that the others contradict most, and adjusts again, until none is left; notes name

@@ -3,6 +3,7 @@
 //! A survey of 2 m is 400 px wide under a drone ten metres up: measured against it no image point is wrong. The ties
 //! hold the frames to a fraction of a pixel, so the rays of a point tell which of them passes the others by.
 
+use autoref_raster::ranks::upper_median;
 use nalgebra::Vector3;
 
 use crate::bundle::{Observation, Problem};
@@ -41,8 +42,7 @@ pub(super) fn apart(problem: &Problem, ties: usize, times: f64) -> Vec<Apart> {
                 misses.extend(bundle.seen.iter().map(|(_, o)| miss_px(problem, o, &at)));
             }
         }
-        misses.sort_by(f64::total_cmp);
-        let middle = misses.get(misses.len() / 2).copied().filter(|m| m.is_finite());
+        let middle = upper_median(&mut misses).filter(|m| m.is_finite());
         spread = middle.unwrap_or(0.0) / MEDIAN_LENGTH;
     }
     let judge = |(bundle, places): (&Bundle, &Vec<Vector3<f64>>)| {

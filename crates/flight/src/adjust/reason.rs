@@ -1,5 +1,6 @@
 //! Why GCPs do not fit a block: what one slip in a whole list would mend.
 
+use autoref_raster::ranks::upper_median;
 use autoref_raster::units::FOOT_M;
 use nalgebra::Vector3;
 
@@ -56,8 +57,7 @@ pub(super) fn middle_miss(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<
     }
     let by = datum(from, to)?;
     let mut misses: Vec<f64> = from.iter().zip(to).map(|(a, b)| (by.apply(a) - b).norm()).collect();
-    misses.sort_by(f64::total_cmp);
-    misses.get(misses.len() / 2).copied()
+    upper_median(&mut misses)
 }
 
 /// The one slip that explains why GCPs do not fit.

@@ -1,6 +1,7 @@
 //! What is grossly wrong with GCPs, before they count in full: one of them would bend the block so far that no test of
 //! its residuals sees it any more.
 
+use autoref_raster::ranks::upper_median;
 use nalgebra::{Matrix2, Vector2, Vector3};
 
 use super::adjusted::Blunder;
@@ -45,12 +46,9 @@ impl Screened {
     pub(super) fn screen(&mut self, problem: &mut Problem, ties: usize, times: f64) -> bool {
         let seen = measured(problem, ties);
         let mut all: Vec<f64> = seen.iter().map(|s| s.off_px).collect();
-        if all.is_empty() {
-            return false;
-        }
-        all.sort_by(f64::total_cmp);
+        let Some(median) = upper_median(&mut all) else { return false };
         // The median length of a normal 2-vector is 1.1774 σ.
-        let spread = all[all.len() / 2] / 1.1774;
+        let spread = median / 1.1774;
         let gross = |s: &Seen| {
             let sigma = problem.observations[s.index].sigma_px;
             s.off_px > times * (spread.max(sigma).powi(2) + s.ground_px.powi(2)).sqrt()

@@ -1,5 +1,6 @@
 //! Which points a pose contradicts.
 
+use autoref_raster::ranks::upper_median;
 use nalgebra::{Matrix2, Vector2};
 
 use super::seen::{Focal, ResectOptions, Seen};
@@ -28,10 +29,9 @@ pub(super) fn far_off(camera: &Camera, pose: &Pose, seen: &[Seen], options: &Res
             at.map_or(f64::INFINITY, |p| (p[0] - s.pixel[0]).hypot(p[1] - s.pixel[1]) * share)
         })
         .collect();
-    let mut sorted = off.clone();
-    sorted.sort_by(f64::total_cmp);
+    let Some(median) = upper_median(&mut off.clone()) else { return Vec::new() };
     // The median length of a normal 2-vector is 1.1774 σ.
-    let spread = (sorted[sorted.len() / 2] / 1.1774).max(options.sigma_px);
+    let spread = (median / 1.1774).max(options.sigma_px);
     let far: Vec<usize> = (0..seen.len()).filter(|i| off[*i] > GROSS * spread).collect();
     let left = 2 * (seen.len() - far.len());
     let needed = if options.focal == Focal::Sought { 7 + LEFT + 2 } else { 6 + LEFT };

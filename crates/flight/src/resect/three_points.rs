@@ -1,5 +1,6 @@
 //! Poses from three points, and those of a net by its triples.
 
+use autoref_raster::random::Mmix;
 use nalgebra::{Matrix4, Vector3};
 
 use super::seen::{ResectOptions, Seen};
@@ -132,11 +133,8 @@ pub(super) fn starts(camera: &Camera, seen: &[Seen], options: &ResectOptions) ->
             }
         }
     } else {
-        let mut state = 0x9E37_79B9_7F4A_7C15u64;
-        let mut draw = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 33) as usize % n
-        };
+        let mut draws = Mmix(0x9E37_79B9_7F4A_7C15);
+        let mut draw = || draws.below(n);
         while triples.len() < 400 {
             let t = [draw(), draw(), draw()];
             if t[0] != t[1] && t[1] != t[2] && t[0] != t[2] {

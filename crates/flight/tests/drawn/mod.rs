@@ -4,21 +4,18 @@ use autoref_flight::adjust::{GroundPoint, Role};
 use autoref_flight::camera::{Camera, Parameter};
 use autoref_flight::pose::{Pose, Similarity, YawPitchRoll};
 use autoref_flight::read::{Photograph, Reconstruction, TiePoint};
+use autoref_raster::random::SplitMix64;
 use nalgebra::{Rotation3, Vector3};
 
 /// Numbers drawn one after another from a seed.
-pub struct Draw(pub u64);
+pub struct Draw(SplitMix64);
 
 impl Draw {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
+    pub fn new(seed: u64) -> Self {
+        Draw(SplitMix64(seed))
     }
     pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (self.next() >> 11) as f64 / (1u64 << 53) as f64
+        low + (high - low) * self.0.unit()
     }
     pub fn normal(&mut self) -> f64 {
         let (u, v) = (self.uniform(1e-12, 1.0), self.uniform(0.0, 1.0));

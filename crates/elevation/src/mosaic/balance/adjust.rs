@@ -11,6 +11,7 @@ use super::blocks::Block;
 use super::relation::{Evidence, Pair, Relation};
 use super::surface::{Balancing, Frame, TERMS, dot};
 use crate::stream::each;
+use autoref_raster::ranks::upper_median;
 use autoref_raster::sets::Sets;
 
 /// Variance of the logarithm of gains that is expected before anything is known.
@@ -171,8 +172,7 @@ impl Band<'_> {
             .map(|(pair, relation)| relation.noise * state.gains[pair.sources.1].powi(2))
             .collect();
         let mut usual: Vec<f64> = noises.iter().copied().filter(|v| *v > 0.0).collect();
-        usual.sort_unstable_by(f64::total_cmp);
-        let floor = usual.get(usual.len() / 2).map_or(1.0, |v| v * LEAST_NOISE);
+        let floor = upper_median(&mut usual).map_or(1.0, |v| v * LEAST_NOISE);
         let mut normal = Normal::new(1 + terms, held);
         for ((pair, relation), noise) in pairs.iter().zip(&state.relations).zip(noises) {
             let (i, j) = pair.sources;

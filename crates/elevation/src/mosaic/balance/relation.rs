@@ -6,6 +6,7 @@
 
 use std::collections::HashMap;
 
+use autoref_raster::ranks::upper_median;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::blocks::{BLOCK_PX, Block};
@@ -179,8 +180,7 @@ impl<'a> Pair<'a> {
             let residuals: Vec<f64> =
                 (0..self.blocks.len()).map(|k| self.residual(&moments, &fit, slope, k).abs()).collect();
             let mut sizes: Vec<f64> = kept.iter().map(|&k| residuals[k]).collect();
-            let middle = sizes.len() / 2;
-            let median = *sizes.select_nth_unstable_by(middle, f64::total_cmp).1;
+            let median = upper_median(&mut sizes).expect("some blocks are kept");
             // Rounding of sums is no difference.
             let limit = REJECT * 1.4826 * median + 1e-9 * (moments.y.abs() + moments.yy.sqrt());
             let next: Vec<usize> = (0..residuals.len()).filter(|&k| residuals[k] <= limit).collect();

@@ -9,6 +9,7 @@ use autoref_flight::statistics::Residuals;
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Pose};
 use autoref_raster::crs::{Coordinate, Crs};
+use autoref_raster::ranks::upper_median;
 use autoref_raster::words::some_of;
 use nalgebra::Vector3;
 use serde_json::{Value, json};
@@ -60,8 +61,7 @@ pub fn let_go_of_turned(rough: &mut [Option<RoughPose>], model: &Reconstruction,
             by_deg.push(turn);
         }
     }
-    by_deg.sort_by(f64::total_cmp);
-    let median = by_deg.get(by_deg.len() / 2)?;
+    let median = upper_median(&mut by_deg)?;
     Some(format!(
         "the table's direction of {} of {} frames is {median:.0} degrees off ({}): it does not count; were these frames \
          turned, or are its angles of another kind? Correct them, or leave the columns of directions out",
@@ -104,8 +104,7 @@ pub fn footprints(found: &Adjustment, model: &Reconstruction, world: &World, crs
     let [plan_m, height_m] = world.units_m();
     let height = |tie: &Vector3<f64>| Some(world.to_map(tie)?[2] * height_m);
     let mut heights: Vec<f64> = found.model.ties.iter().filter_map(|t| height(&t.xyz)).collect();
-    heights.sort_by(f64::total_cmp);
-    let ground_m = heights.get(heights.len() / 2).copied().unwrap_or(0.0);
+    let ground_m = upper_median(&mut heights).unwrap_or(0.0);
     let earth = crs.filter(|c| !c.is_local()).zip(Crs::from_epsg(4326).ok());
     let mut features = Vec::new();
     for photograph in &found.photographs {

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use serde_json::Value;
 
 use crate::cli::values::unsigned_zero;
-use autoref_raster::markup::escaped;
+use autoref_raster::markup::{escaped, page_head};
 
 pub const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:64rem;padding:0 1rem;color:#222}\
     table{border-collapse:collapse;margin:.5rem 0 1.5rem;display:block;overflow-x:auto}td,th{padding:.2rem .7rem;border-bottom:1px solid #ccc;text-align:right}\
@@ -32,14 +32,11 @@ pub fn name(value: &Value) -> String {
 
 /// The page of a document of `flight solve`.
 pub fn page(document: &Value, title: &str) -> String {
-    let mut out = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>{0}</title><style>{STYLE}</style><h1>{0}</h1>",
-        escaped(title)
-    );
+    let mut out = page_head(title, STYLE);
     let _ = write!(
         out,
-        "<p>{} of {} frames registered. Ties: {}, {} px RMS. Surveyed points: {}. CRS: {}.</p>",
+        "<h1>{}</h1><p>{} of {} frames registered. Ties: {}, {} px RMS. Surveyed points: {}. CRS: {}.</p>",
+        escaped(title),
         document["frames_registered"],
         document["frames_listed"],
         document["ties"],

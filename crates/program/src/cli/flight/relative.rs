@@ -1,6 +1,7 @@
 //! Ties and relative orientation: COLMAP's commands, each a stage that is kept, and the start from a rough table where
 //! they end.
 
+use autoref_raster::ranks::upper_median;
 use autoref_raster::words::some_of;
 use std::hash::Hasher;
 use std::path::{Path, PathBuf};
@@ -96,8 +97,7 @@ impl GroundPlane {
                 above / (-r.pose.rotation[(2, 2)]).clamp(0.2, 1.0)
             })
             .collect();
-        away.sort_by(f64::total_cmp);
-        let distance = away.get(away.len() / 2).copied().unwrap_or(1.0).max(1.0);
+        let distance = upper_median(&mut away).unwrap_or(1.0).max(1.0);
         let most_px = (0.25 * size_px[0].max(size_px[1])).max(200.0);
         let view = |(name, rough): (&&str, &RoughPose)| {
             // Three standard deviations of both frames' positions and directions together.

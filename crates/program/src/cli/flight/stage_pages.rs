@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::page::{CHECK, CONTROL, STYLE, camera_mark, cells, fixed, name, rows};
 use super::stage::Stage;
 use super::ties::Ties;
-use autoref_raster::markup::escaped;
+use autoref_raster::markup::{escaped, page_head};
 use autoref_raster::words::counted;
 
 /// Fewer ties than these make a frame or a pair worth a look.
@@ -34,15 +34,16 @@ impl Pictures {
     }
 }
 
+const FIGURES: &str = ".frames{display:flex;flex-wrap:wrap;gap:.8rem}figure{margin:0}figcaption{font-size:12px}";
+
 /// A page around what a stage shows.
 pub fn whole(title: &str, stage: &str, before: Option<&str>, body: &str) -> String {
     let back = before.map_or(String::new(), |before| format!("<a href=\"{before}.html\">← {before}</a> · "));
+    let style = format!("{STYLE}{FIGURES}");
     format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>{0}: {stage}</title><style>{STYLE}\
-         .frames{{display:flex;flex-wrap:wrap;gap:.8rem}}figure{{margin:0}}figcaption{{font-size:12px}}</style>\
-         <p>{back}<a href=\"index.html\">all stages</a></p><h1>{0}: {stage}</h1>{body}\
+        "{}<p>{back}<a href=\"index.html\">all stages</a></p><h1>{}: {stage}</h1>{body}\
          <p><a href=\"{stage}.json\">{stage}.json</a></p></html>\n",
+        page_head(&format!("{title}: {stage}"), &style),
         escaped(title)
     )
 }
@@ -50,9 +51,8 @@ pub fn whole(title: &str, stage: &str, before: Option<&str>, body: &str) -> Stri
 /// The page that leads to the others.
 pub fn contents(title: &str, rows: &str) -> String {
     format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>{0}: stages</title><style>{STYLE}\
-         td{{text-align:left}}</style><h1>{0}: stages</h1><table>{rows}</table></html>\n",
+        "{}<h1>{}: stages</h1><table>{rows}</table></html>\n",
+        page_head(&format!("{title}: stages"), &format!("{STYLE}td{{text-align:left}}")),
         escaped(title)
     )
 }

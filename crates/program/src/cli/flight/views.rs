@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use autoref_flight::{Error, Pose};
+use autoref_raster::bilinear::by_weights;
 use autoref_terrain::smooth;
 use gdal::Dataset;
 use gdal::raster::ResampleAlg;
@@ -276,7 +277,8 @@ impl Grey {
         let (i, j) = ((x as usize).min(width.saturating_sub(2)), (y as usize).min(height.saturating_sub(2)));
         let (a, b) = ((x - i as f64) as f32, (y - j as f64) as f32);
         let p = |i: usize, j: usize| f32::from(self.pixels[j.min(height - 1) * width + i.min(width - 1)]);
-        Some((p(i, j) * (1.0 - a) + p(i + 1, j) * a) * (1.0 - b) + (p(i, j + 1) * (1.0 - a) + p(i + 1, j + 1) * a) * b)
+        let row = |j: usize| [p(i, j), p(i + 1, j)];
+        Some(by_weights([row(j), row(j + 1)], [a, b]))
     }
 
     /// This frame as the one that `to` lays out would show the ground, `to_this` taking its pixels here; and the share

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use autoref_stream::learn::{ColourStatistics, Lesson, SampleStatistics};
 use autoref_stream::profile::colour::lab_from_srgb;
 
-use autoref_raster::markup::escaped;
+use autoref_raster::markup::{escaped, page_head};
 
 /// Dots of a scatter plot; of larger samples every n-th is drawn.
 const MOST_DOTS: usize = 1_500;
@@ -23,11 +23,12 @@ const STYLE: &str = "body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em 
 
 /// A page that needs no network.
 pub fn page(lesson: &Lesson, statistics: Option<&SampleStatistics>) -> String {
-    let name = escaped(&lesson.profile.name);
-    let mut out = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width\">\
-         <title>Colours of {name}</title><style>{STYLE}</style>\
-         <h1>Colours of the profile {name}</h1><p>{}.</p>",
+    let name = &lesson.profile.name;
+    let mut out = page_head(&format!("Colours of {name}"), STYLE);
+    let _ = write!(
+        out,
+        "<h1>Colours of the profile {}</h1><p>{}.</p>",
+        escaped(name),
         escaped(&lesson.profile.description)
     );
     let Some(statistics) = statistics else {

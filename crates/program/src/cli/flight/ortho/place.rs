@@ -10,9 +10,11 @@ use autoref_flight::read::tables::Angles;
 use autoref_flight::read::{self, same_image};
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Error, Pose, SizeOf};
+use autoref_raster::bilinear::by_weights;
 use autoref_raster::bounded;
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::Error as RasterError;
+use autoref_raster::ranks::upper_median;
 use autoref_raster::window::Window;
 use nalgebra::{Matrix3, Vector3};
 
@@ -252,8 +254,8 @@ impl Lattice {
         let k = j as usize * self.columns + i as usize;
         let t = h / NODE_HEIGHT_M;
         let node = |k: usize| self.nodes[k][0] * (1.0 - t) + self.nodes[k][1] * t;
-        (node(k) * (1.0 - a) + node(k + 1) * a) * (1.0 - b)
-            + (node(k + self.columns) * (1.0 - a) + node(k + self.columns + 1) * a) * b
+        let row = |k: usize| [node(k), node(k + 1)];
+        by_weights([row(k), row(k + self.columns)], [a, b])
     }
 }
 
@@ -330,8 +332,7 @@ fn footprint(view: &View<'_>, grid_axes: &Matrix3<f64>) -> Option<([f64; 4], f64
             sizes.push(distance * ray[2] / view.camera.f_px());
         }
     }
-    sizes.sort_by(f64::total_cmp);
-    let middle = *sizes.get(sizes.len() / 2)?;
+    let middle = upper_median(&mut sizes)?;
     // Between the rays the outline may reach further.
     let more = [(bounds[2] - bounds[0]) / RAYS as f64, (bounds[3] - bounds[1]) / RAYS as f64];
     Some(([bounds[0] - more[0], bounds[1] - more[1], bounds[2] + more[0], bounds[3] + more[1]], middle))
