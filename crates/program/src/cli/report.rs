@@ -12,7 +12,7 @@ use autoref_stream::detector::Detector;
 use autoref_stream::pipeline::Progress;
 use autoref_stream::pipeline::heights::{HeightResult, HeightRow};
 use autoref_stream::report::{self, Gathered, HeightArrow, KeptPixels, Overview, Section, Table};
-use autoref_stream::result::{MatchRow, RunResult, SolvedRun};
+use autoref_stream::result::{MatchRow, RunResult, SolvedRun, Warning};
 use clap::Args;
 
 use crate::cli::lengths::length;
@@ -58,7 +58,7 @@ impl<'a> Watch<'a> {
             let marks: Vec<PixelPoint> = solved.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
             let info = self.source.info();
             let words = report::plain_warnings(solution, &marks, info.width as f64, info.height as f64);
-            result.warnings.extend(words);
+            result.warnings.extend(words.into_iter().map(Warning::Said));
         }
         let Some((overview, kept)) = &self.pictures else { return Ok(None) };
         self.bar.stage("making the report");

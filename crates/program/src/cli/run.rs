@@ -21,7 +21,7 @@ use autoref_stream::pipeline::picture::unusual;
 use autoref_stream::pipeline::reasons::reasons;
 use autoref_stream::pipeline::second_pass::{SecondPass, look_closer, second_pass};
 use autoref_stream::report::Gathered;
-use autoref_stream::result::{LEAST_MISFIT_PX, RunResult, residual_rms_px};
+use autoref_stream::result::{LEAST_MISFIT_PX, RunResult, Warning, residual_rms_px};
 use clap::Args;
 
 use crate::cli::args::{GcpArgs, MarkArgs, MatchArgs, PaintArg, ReadArgs};
@@ -216,7 +216,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let dem = args.look.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
     accuracy::state(&mut document.result, &list, &args.look.gcps.accuracy, (info.width as f64, info.height as f64));
     working_crs::deliver(&mut document.result, &list, place.size_px)?;
-    document.result.warnings.extend(plan.notes.iter().cloned());
+    document.result.warnings.extend(plan.notes.iter().cloned().map(Warning::Said));
     document.prior(info, &list);
     let report_started = Instant::now();
     let gathered = tracing::info_span!("report").in_scope(|| watch.gather(&mut document.result))?;
@@ -314,7 +314,7 @@ fn advise(
     }
     if let Some(search) = &colours {
         result.advice.extend(search.advice(profile));
-        result.warnings.extend(search.note());
+        result.warnings.extend(search.note().map(Warning::Said));
     }
     result.colour_search = colours;
     if result.refused().is_some() {
@@ -412,7 +412,7 @@ fn write_outputs(
     if document.result.solved().is_some() {
         let bar = write::WarpBar::new(request.wants(Output::Warp) && !quiet);
         let warnings = request.stage(&document.result, &mut transaction, &|done| bar.set(done))?;
-        document.result.warnings.extend(warnings);
+        document.result.warnings.extend(warnings.into_iter().map(Warning::Said));
     }
     if let Some(dem) = dem {
         dem.stage(&document.result, &mut transaction)?;
