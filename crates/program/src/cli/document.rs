@@ -12,7 +12,7 @@ use autoref_raster::words::counted;
 use autoref_stream::candidate::{Candidate, least_whole_area_px};
 use autoref_stream::gcp::GcpList;
 use autoref_stream::matching::diagnosis::Diagnosis;
-use autoref_stream::matching::{Effort, Evidence, Pattern};
+use autoref_stream::matching::{Effort, Evidence, Pattern, SearchEnd};
 use autoref_stream::pipeline::georeference::{FoundMark, Orientation, Outcome, Run};
 use autoref_stream::pipeline::reasons::reasons;
 use autoref_stream::result::{
@@ -54,7 +54,7 @@ impl Document {
             candidates,
             log10_false_alarms: evidence.log10_false_alarms,
             runner_up: evidence.runner_up,
-            search_cut: evidence.search.search_cut,
+            search_cut: evidence.search.ended == SearchEnd::TimeLimit,
             search: Some(evidence.search),
             prior_georeference: None,
             diagnoses: evidence.diagnoses,
@@ -73,7 +73,7 @@ impl Document {
             let notes = fit_notes(&result, orientation, list);
             result.warnings.extend(notes);
         }
-        if let Some(effort) = result.search.as_ref().filter(|effort| effort.search_cut) {
+        if let Some(effort) = result.search.as_ref().filter(|effort| effort.ended == SearchEnd::TimeLimit) {
             let said = format!(
                 "--time-limit ended the search after {} of {:.3e} hypotheses",
                 effort.hypotheses_tried, effort.hypotheses_possible
