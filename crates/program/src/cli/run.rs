@@ -11,7 +11,6 @@ use autoref_raster::error::Error;
 use autoref_raster::memory_plan;
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::dialects;
-use autoref_stream::georef::output::Output;
 use autoref_stream::georef::write::WriteRequest;
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::MarkDetector;
@@ -27,7 +26,7 @@ use clap::Args;
 use crate::cli::args::{GcpArgs, MarkArgs, MatchArgs, PaintArg, ReadArgs};
 use crate::cli::document::Document;
 use crate::cli::prepare::{self, Prepared, Shared};
-use crate::cli::progress::Bar;
+use crate::cli::progress::{Bar, Telling};
 use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
 use crate::cli::summary::{Detail, summary};
@@ -124,7 +123,7 @@ pub fn first_look(args: &LookArgs) -> anyhow::Result<RunResult> {
         Shared { chances: priors.len(), part: 1 },
         &args.matching.limit(),
     )?;
-    let bar = Bar::new(info, args.quiet || args.json);
+    let bar = Bar::new(info, Telling::of_flags(args.quiet, args.json));
     let refiner = detector.relaxed();
     let run = georeference(&Job {
         source: source.as_ref(),
@@ -176,7 +175,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let looks = args.looks(&detector)?;
     let time_limit = args.look.matching.limit();
     let matchers = Matchers::of(&args.look.matching, info, priors.len(), list.gcps.len(), looks, &time_limit)?;
-    let bar = Bar::new(info, args.look.quiet || args.look.json);
+    let bar = Bar::new(info, Telling::of_flags(args.look.quiet, args.look.json));
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();
     let job = Job {
@@ -225,7 +224,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     // Its caches make room for what writing needs.
     drop(source);
     let report = report.as_deref().zip(gathered.as_ref());
-    write_outputs(&request, &json, report, &mut document, started, args.look.quiet || args.look.json, dem)?;
+    let telling = Telling::of_flags(args.look.quiet, args.look.json);
+    write_outputs(&request, &json, report, &mut document, started, telling, dem)?;
     print(&document.result, Printing { json: args.look.json, quiet: args.look.quiet });
     Ok(document.exit_code())
 }
@@ -403,14 +403,14 @@ fn write_outputs(
     report: Option<(&Path, &Gathered)>,
     document: &mut Document,
     started: Instant,
-    quiet: bool,
+    telling: Telling,
     dem: Option<solving::DemCopy>,
 ) -> anyhow::Result<()> {
     let writing = Instant::now();
     let _span = tracing::info_span!("write").entered();
     let mut transaction = Transaction::new();
     if document.result.solved().is_some() {
-        let bar = write::WarpBar::new(request.wants(Output::Warp) && !quiet);
+        let bar = write::WarpBar::new(request, telling);
         let warnings = request.stage(&document.result, &mut transaction, &|done| bar.set(done))?;
         document.result.warnings.extend(warnings.into_iter().map(Warning::Said));
     }
