@@ -21,6 +21,7 @@ use autoref_raster::Patch;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::window::Window;
 use autoref_stream::candidate::Candidate;
+use autoref_stream::candidate::evidence::GroundSeen;
 use autoref_stream::candidate::examine::measure;
 use autoref_stream::learn::learn;
 use autoref_stream::profile::Profile;
@@ -215,7 +216,7 @@ fn write_rows(
             fit.chi2,
             fit.edge_sd,
             fit.height,
-            u8::from(seen.local),
+            u8::from(seen.ground == GroundSeen::Local),
             v[1],
             raw[1],
             refined

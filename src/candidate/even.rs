@@ -5,7 +5,7 @@
 //! asked instead. Every limit was chosen on the tuning half of `benches/paint.py`: it takes 20 of 36 marks that the
 //! other looks turned down, white and worn, and of 730 other regions that they turned down it takes 2.
 
-use super::evidence::{Around, Evidence, LEAST_CONTRAST, growth, settle, unfitted};
+use super::evidence::{Around, Evidence, GroundSeen, LEAST_CONTRAST, growth, settle, unfitted};
 use super::fit::Fit;
 use super::gates::moments_rectangle;
 use super::kernels::Form;
@@ -73,7 +73,7 @@ pub(super) fn is_even(fit: &Fit, unsupported: f64, area_px: f64, limits: &Limits
 #[derive(Clone, Copy)]
 struct Against {
     contrast: f64,
-    local: bool,
+    ground: GroundSeen,
 }
 
 impl Looks<'_> {
@@ -83,7 +83,7 @@ impl Looks<'_> {
             return None;
         }
         let across = Across::between(scene.ring_ground()?, scene.plateau());
-        let against = Against { contrast: across.contrast, local: false };
+        let against = Against { contrast: across.contrast, ground: GroundSeen::Ring };
         if across.contrast < LEAST_CONTRAST {
             return None;
         }
@@ -114,13 +114,13 @@ impl Looks<'_> {
             let scene = scene.with_own(own.clone(), &own.or(&scene.other));
             let paint = scene.plateau();
             let against_ring = scene.ring_ground().map(|ground| Across::between(ground, paint)).and_then(|across| {
-                let against = Against { contrast: across.contrast, local: false };
+                let against = Against { contrast: across.contrast, ground: GroundSeen::Ring };
                 let seen = across.contrast >= GOOD_CONTRAST;
                 seen.then(|| self.even_in(&scene, around, against, &across.shares(&scene), &ANYWHERE)).flatten()
             });
             against_ring.or_else(|| {
                 let seen = Local::of(&scene, paint, RING_PX).filter(|seen| seen.contrast >= GOOD_CONTRAST)?;
-                let against = Against { contrast: seen.contrast, local: true };
+                let against = Against { contrast: seen.contrast, ground: GroundSeen::Local };
                 self.even_in(&scene, around, against, &seen.shares(), &ANYWHERE)
             })
         })
@@ -137,7 +137,7 @@ impl Looks<'_> {
     ) -> Option<Evidence> {
         let shape = self.profile.shape;
         let mut evidence = unfitted(self.region, scene.plateau(), self.classifier, self.profile);
-        (evidence.contrast, evidence.local) = (against.contrast, against.local);
+        (evidence.contrast, evidence.ground) = (against.contrast, against.ground);
         evidence.area_px = scene.own.count() as f64;
         let fit = best_fit(scene, shares, shape, 1.0 / against.contrast, f64::INFINITY)?;
         let (open, unsupported) = whole::unsupported(scene, shares, &fit);

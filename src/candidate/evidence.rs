@@ -26,6 +26,15 @@ pub(super) struct Around<'a> {
     pub classifier: &'a Classifier,
 }
 
+/// The ground that paint is seen against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GroundSeen {
+    /// The whole ring around it, as one ground.
+    Ring,
+    /// What is right beside each pixel.
+    Local,
+}
+
 /// What the examination measured; [`super::score::score`] turns it into one number.
 #[derive(Clone, Debug)]
 pub struct Evidence {
@@ -38,8 +47,8 @@ pub struct Evidence {
     pub refined: Option<Refined>,
     /// Stands out so little that no fit, however good, could raise its score to the profile's limit: not fitted.
     pub hopeless: bool,
-    /// Contrast and fit are those of the local-background fit, against local ground.
-    pub local: bool,
+    /// What contrast and fit are seen against.
+    pub ground: GroundSeen,
     /// By a look with a score of its own.
     pub own_score: Option<f64>,
     pub area_px: f64,
@@ -69,7 +78,7 @@ pub(super) fn unfitted(region: &Region, plateau: Vector3<f64>, classifier: &Clas
         fit: None,
         refined: None,
         hopeless: false,
-        local: false,
+        ground: GroundSeen::Ring,
         own_score: None,
         area_px,
         unsupported: 0.0,
@@ -92,7 +101,7 @@ pub(super) fn settle(
     let mut place = Place::of(&best);
     if let Some(around) = around {
         let mut spread = [0.0; 3];
-        if let Some(other) = fit_in_linear_light(scene, evidence.local, shape) {
+        if let Some(other) = fit_in_linear_light(scene, evidence.ground, shape) {
             (place, spread) = place.averaged_with(&best, &other);
         }
         evidence.refined = scene.ring_ground().and_then(|ground| {
@@ -108,15 +117,18 @@ pub(super) fn settle(
 }
 
 /// The fit to shares of paint in linear light, in which lenses mix; it weighs bright and dark ground otherwise.
-fn fit_in_linear_light(scene: &Scene<'_>, local: bool, shape: Shape) -> Option<Fit> {
+fn fit_in_linear_light(scene: &Scene<'_>, ground: GroundSeen, shape: Shape) -> Option<Fit> {
     let scene = scene.in_linear_light();
     let plateau = scene.plateau();
-    let (shares, contrast) = if local {
-        let seen = Local::of(&scene, plateau, RING_PX)?;
-        (seen.shares(), seen.contrast)
-    } else {
-        let across = Across::between(scene.ring_ground()?, plateau);
-        (across.shares(&scene), across.contrast)
+    let (shares, contrast) = match ground {
+        GroundSeen::Local => {
+            let seen = Local::of(&scene, plateau, RING_PX)?;
+            (seen.shares(), seen.contrast)
+        }
+        GroundSeen::Ring => {
+            let across = Across::between(scene.ring_ground()?, plateau);
+            (across.shares(&scene), across.contrast)
+        }
     };
     best_fit(&scene, &shares, shape, 1.0 / contrast.max(1.0), f64::INFINITY)
 }

@@ -5,7 +5,7 @@
 //! fresh paint does not have. Each sign is weak; logistic regression weighs them together.
 
 use super::Candidate;
-use super::evidence::{Around, Evidence, growth, settle, unfitted};
+use super::evidence::{Around, Evidence, GroundSeen, growth, settle, unfitted};
 use super::examine::{candidate, near};
 use super::fit::Fit;
 use super::gates::{Gates, compactness};
@@ -189,7 +189,7 @@ impl Looks<'_> {
         let (open, unsupported) = whole::unsupported(scene, &shares, &fit);
         let score = weights.score(&signs, &fit);
         let mut evidence = unfitted(self.region, paint, self.classifier, self.profile);
-        (evidence.contrast, evidence.local) = (local.contrast, true);
+        (evidence.contrast, evidence.ground) = (local.contrast, GroundSeen::Local);
         evidence.area_px = scene.own.count() as f64;
         (evidence.own_score, evidence.unsupported) = (Some(score), unsupported);
         settle(&mut evidence, scene, Some(around).filter(|_| score >= self.least()), (fit, open), self.profile.shape);

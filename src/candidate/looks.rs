@@ -1,7 +1,7 @@
 //! The looks at a region: against the ring around it, against the ground right beside each pixel, as a part of a whole
 //! mark, in even light.
 
-use super::evidence::{Around, Evidence, LEAST_CONTRAST, settle, unfitted};
+use super::evidence::{Around, Evidence, GroundSeen, LEAST_CONTRAST, settle, unfitted};
 use super::gates::Gates;
 use super::local::{Growth, Local};
 use super::paint_share::{Across, best_fit};
@@ -65,7 +65,10 @@ impl Looks<'_> {
                 let grown = may_be_mark.then(|| {
                     let scene = seen.with_own(own.clone(), &own.or(&seen.other));
                     // What was looked at against local ground was grown by it too, and is not asked again.
-                    if first.local { self.measured_once(&scene, around) } else { self.measured(&scene, around) }
+                    match first.ground {
+                        GroundSeen::Local => self.measured_once(&scene, around),
+                        GroundSeen::Ring => self.measured(&scene, around),
+                    }
                 });
                 grown.filter(|grown| self.score(grown) >= least).unwrap_or_else(|| {
                     // What was measured may be the whole already, by the look at local ground.
@@ -173,7 +176,7 @@ impl Looks<'_> {
         };
         let mut evidence = unfitted(self.region, paint, self.classifier, self.profile);
         evidence.area_px = scene.own.count() as f64;
-        evidence.local = true;
+        evidence.ground = GroundSeen::Local;
         evidence.hopeless = true;
         if let Some(seen) = seen {
             evidence.contrast = seen.contrast;
@@ -204,7 +207,7 @@ impl Looks<'_> {
         shares: impl FnOnce() -> Vec<f64>,
     ) {
         let profile = self.profile;
-        let populations = Populations::of(evidence.local);
+        let populations = Populations::of(evidence.ground);
         let (contrast, min_score) = (evidence.contrast, profile.examine.min_score);
         evidence.hopeless = populations.best_possible_score(contrast) < min_score;
         if evidence.hopeless {

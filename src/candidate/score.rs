@@ -1,6 +1,6 @@
 //! How likely it is that what the examination measured is a mark.
 
-use super::evidence::Evidence;
+use super::evidence::{Evidence, GroundSeen};
 use super::fit::Fit;
 use super::gates::Gates;
 use crate::profile::{Profile, Shape};
@@ -19,7 +19,7 @@ pub fn score(evidence: &Evidence, profile: &Profile, gates: &Gates) -> f64 {
     if let Some(score) = evidence.own_score {
         return score;
     }
-    Populations::of(evidence.local).score(evidence.contrast, fit.rms, evidence.unsupported)
+    Populations::of(evidence.ground).score(evidence.contrast, fit.rms, evidence.unsupported)
 }
 
 /// Whether a shape is as large and as wide as marks are. One that is not has no likelihood as a mark; the margin is the
@@ -60,8 +60,11 @@ const LOCAL_LOOK: Populations = Populations {
 };
 
 impl Populations {
-    pub(super) fn of(local: bool) -> &'static Populations {
-        if local { &LOCAL_LOOK } else { &RING_LOOK }
+    pub(super) fn of(ground: GroundSeen) -> &'static Populations {
+        match ground {
+            GroundSeen::Ring => &RING_LOOK,
+            GroundSeen::Local => &LOCAL_LOOK,
+        }
     }
 
     /// Less for so many sides of an outline that no edge supports.

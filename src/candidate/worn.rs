@@ -8,7 +8,7 @@
 use nalgebra::Vector3;
 
 use super::Candidate;
-use super::evidence::{Around, Evidence, growth, settle, unfitted};
+use super::evidence::{Around, Evidence, GroundSeen, growth, settle, unfitted};
 use super::examine::{Extent, candidate, figure_of, near, open_if_field};
 use super::figure::{Figure, middle_if_plain_field};
 use super::fit::Fit;
@@ -239,7 +239,13 @@ impl Worn {
         if off_line > MOST_OFF_LINE || !enough(off_line) {
             return None;
         }
-        let seen = Seen { contrast: across.contrast, shares: across.shares(scene), local: false, elongation, off_line };
+        let seen = Seen {
+            contrast: across.contrast,
+            shares: across.shares(scene),
+            ground: GroundSeen::Ring,
+            elongation,
+            off_line,
+        };
         let looks = Looks { region, classifier: &self.classifier, profile: &self.profile, gates: &self.gates };
         looks.weighed(scene, around, seen, &WORN)
     }
@@ -250,7 +256,7 @@ struct Seen {
     contrast: f64,
     /// Of paint in each pixel.
     shares: Vec<f64>,
-    local: bool,
+    ground: GroundSeen,
     elongation: f64,
     off_line: f64,
 }
@@ -277,7 +283,13 @@ impl Looks<'_> {
             let paint = scene.plateau();
             let local = Local::of(scene, paint, RING_PX).filter(|local| local.contrast >= LEAST_CONTRAST)?;
             let off_line = off_line(self.profile.fresh_paint(), &scene.ring_ground()?.mean, &paint);
-            let seen = Seen { contrast: local.contrast, shares: local.shares(), local: true, elongation, off_line };
+            let seen = Seen {
+                contrast: local.contrast,
+                shares: local.shares(),
+                ground: GroundSeen::Local,
+                elongation,
+                off_line,
+            };
             self.weighed(scene, around, seen, &WITHOUT_HUE)
         });
         found.filter(|found| self.score(found) - growth(found, self.region).ln() >= self.least()).max_by(by_score)
@@ -288,11 +300,11 @@ impl Looks<'_> {
         let shape = self.profile.shape;
         let fit = best_fit(scene, &seen.shares, shape, 1.0 / seen.contrast, f64::INFINITY)?;
         let (open, unsupported) = whole::unsupported(scene, &seen.shares, &fit);
-        let Seen { contrast, local, elongation, off_line, .. } = seen;
+        let Seen { contrast, ground, elongation, off_line, .. } = seen;
         let signs = Signs { contrast, fit, unsupported, elongation, off_line };
         let score = weights.score(&signs);
         let mut evidence = unfitted(self.region, scene.plateau(), self.classifier, self.profile);
-        (evidence.contrast, evidence.local) = (contrast, local);
+        (evidence.contrast, evidence.ground) = (contrast, ground);
         evidence.area_px = scene.own.count() as f64;
         (evidence.own_score, evidence.unsupported) = (Some(score), unsupported);
         settle(&mut evidence, scene, Some(around).filter(|_| score >= self.least()), (signs.fit, open), shape);

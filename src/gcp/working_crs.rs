@@ -284,8 +284,9 @@ fn utm_of_mean(path: &Path, gcps: &[Gcp], source: &Crs, notes: &mut Vec<String>)
 pub(super) fn transform(from: &Crs, points: &mut [Coordinate], to: &Crs, worst_accuracy_m: f64) -> Result<Accuracy> {
     from.transform(points, to, worst_accuracy_m).map_err(|error| {
         match (error, from.transform(&mut points.to_vec(), to, f64::INFINITY)) {
-            (Error::Usage { what, remedy }, Ok(Accuracy::Metres(metres))) => {
-                Error::usage(what, format!("{remedy}, or accept it with --datum-accuracy {metres}"))
+            (Error::CoarseDatum { what, install, otherwise }, Ok(Accuracy::Metres(metres))) => {
+                let otherwise = format!("{otherwise}, or accept it with --datum-accuracy {metres}");
+                Error::CoarseDatum { what, install, otherwise }
             }
             (error, _) => error,
         }

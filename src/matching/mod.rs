@@ -33,6 +33,7 @@ pub(crate) mod close_core;
 pub mod diagnosis;
 pub(crate) mod doubtful;
 mod duplicates;
+mod effort;
 pub mod evidence;
 mod explain;
 mod far;
@@ -130,16 +131,25 @@ pub struct Pattern {
 
 /// What the search did.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(from = "effort::Written", into = "effort::Written")]
 pub struct Effort {
     /// Hypotheses that the priors allow: what the number of false alarms is multiplied by.
     pub hypotheses_possible: f64,
     /// Hypotheses looked at.
     pub hypotheses_tried: u64,
-    /// The search ended at its budget before all hypotheses were tried.
-    pub budget_spent: bool,
-    /// A time limit ended it before that.
-    #[serde(default)]
-    pub search_cut: bool,
+    pub ended: SearchEnd,
+}
+
+/// How a search ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SearchEnd {
+    /// With nothing left to try, or a pattern that settles it.
+    #[default]
+    Complete,
+    /// At its budget, before all hypotheses were tried.
+    BudgetSpent,
+    /// At the time limit, before its budget.
+    TimeLimit,
 }
 
 /// The answer of a matcher.

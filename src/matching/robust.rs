@@ -16,7 +16,9 @@ use crate::matching::pairs::GcpPair;
 use crate::matching::repetition::Repetition;
 use crate::matching::search::{Hypothesis, LONG, LOOKS_OF_ONE, REFINED_PER_PAIR, Search, Tried};
 use crate::matching::waiting::Waiting;
-use crate::matching::{Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, Solved, TimeLimit};
+use crate::matching::{
+    Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, SearchEnd, Solved, TimeLimit,
+};
 use autoref_raster::coords::MapPoint;
 
 /// How much rarer (log₁₀) the best pattern must be than an accident that says something else.
@@ -437,7 +439,7 @@ impl RobustMatcher {
         let enough = screening.pairs.min(pairs.len());
         while done < enough && !is_settled(&found) {
             if self.time_limit.is_over() {
-                (found.effort.budget_spent, found.effort.search_cut) = (true, true);
+                found.effort.ended = SearchEnd::TimeLimit;
                 break;
             }
             let left = work.hypotheses_left();
@@ -454,7 +456,7 @@ impl RobustMatcher {
                 found.refine(waiting.next(), &search, &mut work);
             }
             if left < together[0].hypotheses() || work.hypotheses_left() == 0 {
-                found.effort.budget_spent = true;
+                found.effort.ended = SearchEnd::BudgetSpent;
                 break;
             }
         }

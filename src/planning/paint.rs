@@ -33,15 +33,6 @@ pub struct PaintRank {
 /// Ground of which so much would pass for the paint hides its marks (`docs/planning.md`).
 const HIDING_SHARE: f64 = 1e-3;
 
-/// The rim that a paint needs where so much of the ground would pass for it: half a side, of white a whole one.
-fn rim_sides(profile: &str, ground_share: f64) -> f64 {
-    match profile {
-        _ if ground_share < HIDING_SHARE => 0.0,
-        _ if profile.starts_with("white") => 1.0,
-        _ => 0.5,
-    }
-}
-
 /// Ranks the shipped paints on an image of the ground, the one that stands out most first. Looks at up to 64 windows of
 /// 256 × 256 px spread over the image. Empty when the image holds no pixel.
 ///
@@ -49,21 +40,17 @@ fn rim_sides(profile: &str, ground_share: f64) -> f64 {
 /// When a window cannot be read.
 pub fn rank_paints(source: &dyn RasterSource) -> Result<Vec<PaintRank>> {
     let colours = sample(source)?;
-    let mut ranks: Vec<PaintRank> = Profile::names()
+    let mut ranks: Vec<PaintRank> = Profile::of_paints()
         .into_iter()
-        // The prototype's profiles are kept for comparison, not for painting.
-        .filter(|name| !name.ends_with("-2016"))
-        .map(|name| Profile::builtin(name).expect("names lists what is there"))
-        // Targets are found by shape, whatever their colour.
-        .filter(|profile| !profile.is_target())
-        .map(|profile| Ok(rank(&profile.name, &PaintTest::new(&profile)?, &colours)))
+        .map(|(profile, rim_sides)| Ok(rank((&profile.name, rim_sides), &PaintTest::new(&profile)?, &colours)))
         .collect::<Result<_>>()?;
     ranks.retain(|rank| rank.pixels > 0);
     ranks.sort_by(|a, b| a.ground_share.total_cmp(&b.ground_share).then(b.margin_p0001.total_cmp(&a.margin_p0001)));
     Ok(ranks)
 }
 
-fn rank(name: &str, test: &PaintTest, colours: &[[u8; 3]]) -> PaintRank {
+/// `rim_sides` is what the paint needs where the ground hides it.
+fn rank((name, rim_sides): (&str, f64), test: &PaintTest, colours: &[[u8; 3]]) -> PaintRank {
     let mut distances: Vec<f64> = colours
         .par_iter()
         // A rough test that says no says it without a number.
@@ -76,7 +63,7 @@ fn rank(name: &str, test: &PaintTest, colours: &[[u8; 3]]) -> PaintRank {
     PaintRank {
         profile: name.into(),
         ground_share,
-        rim_sides: rim_sides(name, ground_share),
+        rim_sides: if ground_share < HIDING_SHARE { 0.0 } else { rim_sides },
         margin_p0001: quantile(1e-4),
         margin_p01: quantile(1e-2),
         pixels: distances.len(),

@@ -15,6 +15,7 @@ mod family;
 pub mod mixing;
 mod paint;
 mod rule;
+mod shipped;
 mod worn;
 
 use std::path::Path;
@@ -406,50 +407,7 @@ pub struct Learned {
     pub background_share: f64,
 }
 
-macro_rules! builtins {
-    ($($name:literal),* $(,)?) => {
-        const BUILTIN: &[(&str, &str)] = &[$(($name, include_str!(concat!("builtin/", $name, ".toml")))),*];
-    };
-}
-builtins!(
-    "orange",
-    "pink",
-    "green",
-    "yellow",
-    "blue",
-    "white-on-dark",
-    "black-white-checker",
-    "black-white-hourglass",
-    "black-white-cross",
-    "apriltag-36h11",
-    "apriltag-16h5",
-    "aruco-4x4-50",
-    "aruco-4x4-100",
-    "aruco-6x6-250",
-    "aruco-mip-36h12",
-    "lerkendal-2016",
-    "autoref-2016",
-);
-
 impl Profile {
-    /// Names of the shipped profiles, the default first.
-    pub fn names() -> Vec<&'static str> {
-        BUILTIN.iter().map(|(name, _)| *name).chain(paint::names()).collect()
-    }
-
-    /// Names of the shipped profiles that this build can look for: coded targets need the feature `coded`.
-    fn usable_names() -> Vec<&'static str> {
-        let is_usable =
-            |name: &&str| cfg!(feature = "coded") || Profile::builtin(name).is_none_or(|profile| profile.tag.is_none());
-        Profile::names().into_iter().filter(is_usable).collect()
-    }
-
-    /// A shipped profile.
-    pub fn builtin(name: &str) -> Option<Profile> {
-        let Some((_, text)) = BUILTIN.iter().find(|(n, _)| *n == name) else { return paint::by_name(name) };
-        Some(toml::from_str(text).expect("a test parses every shipped profile"))
-    }
-
     /// A shipped profile by its name, or one read from a TOML file.
     ///
     /// # Errors
@@ -462,7 +420,7 @@ impl Profile {
         if !path.exists() {
             return Err(Error::usage(
                 format!("no profile and no file is called \"{name_or_path}\""),
-                format!("shipped profiles are {}", Profile::usable_names().join(", ")),
+                format!("shipped profiles are {}", shipped::usable_names().join(", ")),
             ));
         }
         let text = bounded::read_to_string(path, "a profile", bounded::TEXT_BYTES)?;

@@ -7,26 +7,42 @@ use super::colour::Space;
 use super::mixing::{Mixing, cloud, population};
 use super::{CentreMode, CloudSpec, ColourModel, Examine, Filters, GateLimits, Profile, Shape, Size, Target};
 
-/// A name, what it is, and its sRGB values.
+/// A name, what it is, its sRGB values, and the dark rim that it needs, see [`Profile::of_paints`].
 struct Paint {
     name: &'static str,
     called: &'static str,
     srgb: &'static [[u8; 3]],
+    rim_sides: f64,
 }
 
+/// Width of the rim that keeps ground of a paint's colour off a mark, sides of the mark; of white it is a whole one, as
+/// much of any ground is bright.
+pub(super) const RIM_SIDES: f64 = 0.5;
+pub(super) const RIM_OF_WHITE_SIDES: f64 = 1.0;
+
 const PAINTS: [Paint; 12] = [
-    Paint { name: "ral-1003", called: "signal yellow", srgb: &[[249, 168, 0], [229, 190, 1]] },
-    Paint { name: "ral-1016", called: "sulphur yellow", srgb: &[[237, 255, 33], [241, 221, 56]] },
-    Paint { name: "ral-1026", called: "luminous yellow", srgb: &[[255, 255, 0], [255, 246, 0]] },
-    Paint { name: "ral-2003", called: "pastel orange", srgb: &[[255, 117, 20], [250, 132, 43]] },
-    Paint { name: "ral-2004", called: "pure orange", srgb: &[[244, 70, 17], [231, 91, 18]] },
-    Paint { name: "ral-2005", called: "luminous orange", srgb: &[[255, 35, 1], [255, 77, 8]] },
-    Paint { name: "ral-2007", called: "luminous bright orange", srgb: &[[255, 164, 32], [255, 178, 0]] },
-    Paint { name: "ral-3020", called: "traffic red", srgb: &[[204, 6, 5], [187, 30, 16]] },
-    Paint { name: "ral-3024", called: "luminous red", srgb: &[[248, 0, 0], [255, 45, 33]] },
-    Paint { name: "ral-5015", called: "sky blue", srgb: &[[34, 113, 179], [0, 124, 176]] },
-    Paint { name: "ral-6018", called: "yellow green", srgb: &[[87, 166, 57], [97, 153, 59]] },
-    Paint { name: "white", called: "white", srgb: &[[255, 255, 255], [245, 245, 245], [235, 238, 240]] },
+    Paint { name: "ral-1003", called: "signal yellow", srgb: &[[249, 168, 0], [229, 190, 1]], rim_sides: RIM_SIDES },
+    Paint { name: "ral-1016", called: "sulphur yellow", srgb: &[[237, 255, 33], [241, 221, 56]], rim_sides: RIM_SIDES },
+    Paint { name: "ral-1026", called: "luminous yellow", srgb: &[[255, 255, 0], [255, 246, 0]], rim_sides: RIM_SIDES },
+    Paint { name: "ral-2003", called: "pastel orange", srgb: &[[255, 117, 20], [250, 132, 43]], rim_sides: RIM_SIDES },
+    Paint { name: "ral-2004", called: "pure orange", srgb: &[[244, 70, 17], [231, 91, 18]], rim_sides: RIM_SIDES },
+    Paint { name: "ral-2005", called: "luminous orange", srgb: &[[255, 35, 1], [255, 77, 8]], rim_sides: RIM_SIDES },
+    Paint {
+        name: "ral-2007",
+        called: "luminous bright orange",
+        srgb: &[[255, 164, 32], [255, 178, 0]],
+        rim_sides: RIM_SIDES,
+    },
+    Paint { name: "ral-3020", called: "traffic red", srgb: &[[204, 6, 5], [187, 30, 16]], rim_sides: RIM_SIDES },
+    Paint { name: "ral-3024", called: "luminous red", srgb: &[[248, 0, 0], [255, 45, 33]], rim_sides: RIM_SIDES },
+    Paint { name: "ral-5015", called: "sky blue", srgb: &[[34, 113, 179], [0, 124, 176]], rim_sides: RIM_SIDES },
+    Paint { name: "ral-6018", called: "yellow green", srgb: &[[87, 166, 57], [97, 153, 59]], rim_sides: RIM_SIDES },
+    Paint {
+        name: "white",
+        called: "white",
+        srgb: &[[255, 255, 255], [245, 245, 245], [235, 238, 240]],
+        rim_sides: RIM_OF_WHITE_SIDES,
+    },
 ];
 
 /// Names of the paints, as [`by_name`] takes them.
@@ -34,16 +50,27 @@ pub(super) fn names() -> impl Iterator<Item = &'static str> {
     PAINTS.iter().map(|paint| paint.name)
 }
 
+/// All paints, each with the rim that it needs, sides of the mark.
+pub(super) fn all() -> impl Iterator<Item = (Profile, f64)> {
+    PAINTS.iter().map(|paint| (paint.profile(), paint.rim_sides))
+}
+
 /// A paint by its name; RAL numbers in any writing: `ral-2007`, `RAL 2007`, `RAL2007`, `2007`.
 pub(super) fn by_name(name: &str) -> Option<Profile> {
     let plain: String = name.to_lowercase().chars().filter(|c| c.is_ascii_alphanumeric()).collect();
     let wanted = plain.strip_prefix("ral").unwrap_or(&plain);
     let paint = PAINTS.iter().find(|paint| paint.name.strip_prefix("ral-").unwrap_or(paint.name) == wanted)?;
-    let description = match paint.name.strip_prefix("ral-") {
-        Some(number) => format!("RAL {number}, {}, fresh and worn", paint.called),
-        None => format!("{} paint", paint.called),
-    };
-    Some(of(paint.name, description, paint.srgb))
+    Some(paint.profile())
+}
+
+impl Paint {
+    fn profile(&self) -> Profile {
+        let description = match self.name.strip_prefix("ral-") {
+            Some(number) => format!("RAL {number}, {}, fresh and worn", self.called),
+            None => format!("{} paint", self.called),
+        };
+        of(self.name, description, self.srgb)
+    }
 }
 
 /// The first sRGB value of a paint of that name.

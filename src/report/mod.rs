@@ -87,7 +87,7 @@ struct Page<'a> {
     chips: &'a [ChipData],
     overview: OverviewData<'a>,
     hand_variance_px2: f64,
-    warnings: Vec<&'a str>,
+    warnings: Vec<String>,
     sections: &'a [Section],
     details: serde_json::Value,
     patch: Option<&'a autoref_review::PatchFile>,
@@ -158,8 +158,8 @@ pub fn page(
         warnings: result
             .warnings
             .iter()
-            .chain(result.diagnoses.iter().map(|d| &d.message))
-            .map(String::as_str)
+            .map(ToString::to_string)
+            .chain(result.diagnoses.iter().map(|d| d.message.clone()))
             .collect(),
         sections,
         details: details(result),

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     ChosenModel, FitFigures, ImageInfo, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunResult,
-    SCHEMA_VERSION, SolvedRun, Status, Timings,
+    SCHEMA_VERSION, SolvedRun, Status, Timings, Warning,
 };
 use crate::candidate::Candidate;
 use crate::gcp::Gcp;
@@ -151,7 +151,7 @@ impl<'a> Document<'a> {
             diagnoses: result.diagnoses.clone(),
             heights: solved.and_then(|solved| solved.heights.clone()),
             chosen_model: solved.and_then(|solved| solved.chosen_model.clone()),
-            warnings: result.warnings.clone(),
+            warnings: result.warnings.iter().map(ToString::to_string).collect(),
             patch: result.patch.clone(),
             candidates: Cow::Borrowed(&result.candidates),
             files_written: result.files_written.clone(),
@@ -236,7 +236,7 @@ impl TryFrom<Document<'_>> for RunResult {
             search_cut: document.search_cut,
             prior_georeference: document.prior_georeference,
             diagnoses: document.diagnoses,
-            warnings: document.warnings,
+            warnings: document.warnings.into_iter().map(Warning::Said).collect(),
             patch: document.patch,
             files_written: document.files_written,
             reading: document.reading,

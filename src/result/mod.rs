@@ -5,6 +5,7 @@ mod chosen_model;
 mod document;
 mod misfit;
 mod twins;
+mod warning;
 
 use std::path::Path;
 
@@ -22,6 +23,7 @@ use autoref_solve::{Similarity, Solution};
 pub use chosen_model::{ChosenModel, PlanarModel, SimilarityModel, Solver, SpatialModel, SpatialResidual};
 pub use misfit::{LEAST_MISFIT_PX, Misfit, Survey, residual_rms_px};
 pub use twins::Twins;
+pub use warning::Warning;
 
 /// Version of the layout; it grows when a field changes its meaning.
 pub const SCHEMA_VERSION: u32 = 1;
@@ -67,7 +69,7 @@ pub struct RunResult {
     pub prior_georeference: Option<PriorGeoreference>,
     /// Mistakes in the list of GCPs that would explain what was seen; none was corrected.
     pub diagnoses: Vec<crate::matching::diagnosis::Diagnosis>,
-    pub warnings: Vec<String>,
+    pub warnings: Vec<Warning>,
     /// The review that was replayed, whole: who reads the result sees what was changed by hand.
     pub patch: Option<autoref_review::PatchFile>,
     pub files_written: Vec<String>,
@@ -248,6 +250,11 @@ fn no_text(bytes: &[u8]) -> String {
 }
 
 impl RunResult {
+    /// Adds a remark, in plain words.
+    pub fn warn(&mut self, words: impl Into<Warning>) {
+        self.warnings.push(words.into());
+    }
+
     pub fn status(&self) -> Status {
         match self.outcome {
             RunOutcome::Solved(_) => Status::Solved,

@@ -5,6 +5,7 @@ use autoref_raster::coords::PixelPoint;
 use autoref_raster::mask::Mask;
 use autoref_raster::window::Window;
 use autoref_raster::{Patch, SampleType};
+use autoref_stream::candidate::evidence::GroundSeen;
 use autoref_stream::candidate::examine::measure;
 use autoref_stream::candidate::{Gates, examine};
 use autoref_stream::learn::learn;
@@ -106,7 +107,7 @@ fn marks_where_grounds_meet_are_found() {
         for region in detector.regions(&picture).iter().filter(|r| detector.gates.region(r)) {
             let patch = detector.patch(&picture, region);
             let seen = measure(region, &patch, &detector.classifier, &detector.profile, &detector.gates);
-            local += usize::from(seen.is_some_and(|e| e.local));
+            local += usize::from(seen.is_some_and(|e| e.ground == GroundSeen::Local));
         }
         let near = |t: &(f64, f64)| found.iter().filter(|c| (c.centre.x - t.0).hypot(c.centre.y - t.1) < 0.4).count();
         let hit = truth.iter().filter(|t| near(t) == 1).count();

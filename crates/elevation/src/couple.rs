@@ -102,15 +102,14 @@ pub fn open_couple(a: &Path, b: &Path) -> Result<Couple> {
             return Ok(Couple { a, b: mb, projected: false, heights: common, doubtful_units, _warped: None });
         }
     };
+    let both = |what: String| format!("{} and {}: {what}", a.display(), b.display());
     let together = |e: Error| match e {
-        Error::Usage { what, remedy } => {
-            // Models have no list whose datum could be given otherwise.
-            let remedy = match remedy.split_once(", or give the points in their own datum") {
-                Some((install, _)) => format!("{install}, or bring one model to the other's datum first"),
-                None => remedy,
-            };
-            Error::usage(format!("{} and {}: {what}", a.display(), b.display()), remedy)
+        // Models have no list whose datum could be given otherwise.
+        Error::CoarseDatum { what, install, .. } => {
+            let otherwise = "bring one model to the other's datum first".into();
+            Error::CoarseDatum { what: both(what), install, otherwise }
         }
+        Error::Usage { what, remedy } => Error::usage(both(what), remedy),
         other => other,
     };
     let (ma, warped) = if stays(&ma.grid(), &from, &to).map_err(together)? {

@@ -24,9 +24,18 @@ pub(super) struct Named {
     pub note: Option<String>,
 }
 
+/// Who stands for the way in which a frame is taken to lie.
+#[derive(Clone, Copy)]
+enum TakenBy {
+    /// The camera's file: its scans are upright.
+    Camera,
+    /// Nobody.
+    Chance,
+}
+
 impl Named {
-    /// Of several ways in which the frame may lie one was taken; `known` when somebody stands for that.
-    fn say(&mut self, ways: &[Way], taken: Way, known: bool) {
+    /// Of several ways in which the frame may lie one was taken.
+    fn say(&mut self, ways: &[Way], taken: Way, by: TakenBy) {
         let texts: Vec<String> = ways.iter().map(|way| lies(*way)).collect();
         // What was given on the command line does not differ between the ways.
         let turns = ways.iter().any(|way| way.0 != taken.0);
@@ -39,15 +48,20 @@ impl Named {
         let said =
             format!("the marks do not tell whether the frame is {}; taken as {}", texts.join(" or "), lies(taken));
         let remedy = format!("say {options}");
-        if known {
-            self.note = Some(format!("{said}, as the camera's file says; if it lies otherwise, {remedy}"));
-        } else {
-            self.doubt = Some(format!("{said}: {remedy}"));
+        match by {
+            TakenBy::Camera => {
+                self.note = Some(format!("{said}, as the camera's file says; if it lies otherwise, {remedy}"));
+            }
+            TakenBy::Chance => self.doubt = Some(format!("{said}: {remedy}")),
         }
     }
 }
 
 impl Finder {
+    fn taken_by(&self, is_upright: bool) -> TakenBy {
+        if self.camera.upright && is_upright { TakenBy::Camera } else { TakenBy::Chance }
+    }
+
     /// Whether all marks are their own mirror images.
     pub(super) fn are_symmetric(&self) -> bool {
         self.models.iter().all(Model::is_symmetric)
@@ -79,7 +93,7 @@ impl Finder {
         let Some(best) = all.first() else {
             // Of two places any way is as good.
             if by_shape {
-                named.say(rivals, rivals[0], self.camera.upright && rivals[0] == (0.0, Handedness::AsIs));
+                named.say(rivals, rivals[0], self.taken_by(rivals[0] == (0.0, Handedness::AsIs)));
             }
             return named;
         };
@@ -95,7 +109,7 @@ impl Finder {
             .clone();
         if as_good.len() > 1 {
             let ways: Vec<Way> = as_good.iter().map(|n| (n.turn_deg, n.mirrored)).collect();
-            named.say(&ways, (taken.turn_deg, taken.mirrored), self.camera.upright && taken.is_upright());
+            named.say(&ways, (taken.turn_deg, taken.mirrored), self.taken_by(taken.is_upright()));
         }
         let before = std::mem::replace(measured, vec![None; self.film.len()]);
         let from: Vec<usize> = places.iter().map(|p| p.0).collect();
@@ -141,9 +155,9 @@ mod tests {
             ((180.0, Handedness::Mirrored), "say --turn and --mirrored"),
         ] {
             let mut named = Named::default();
-            named.say(&[upright, other], upright, false);
+            named.say(&[upright, other], upright, TakenBy::Chance);
             assert!(named.doubt.as_ref().is_some_and(|said| said.ends_with(remedy)), "{:?}", named.doubt);
-            named.say(&[upright, other], upright, true);
+            named.say(&[upright, other], upright, TakenBy::Camera);
             assert!(named.note.as_ref().is_some_and(|said| said.ends_with(remedy)), "{:?}", named.note);
         }
     }

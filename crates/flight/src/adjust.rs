@@ -21,7 +21,7 @@ use self::astray::Astray;
 pub(crate) use self::datum::by_poses;
 use self::datum::placing;
 pub use self::datum::{OnGround, on_ground};
-pub use self::options::{AdjustOptions, RoughPose};
+pub use self::options::{AdjustOptions, RoughPose, TiesFrom};
 use self::outcome::End;
 use self::positions::Aside;
 use self::screening::Screened;
@@ -121,7 +121,8 @@ fn adjust_all(
     }
     notes.extend(contradictions);
     let deviations = factored.map(|f| Deviations::new(&problem, f, snooping::LOSS, ties));
-    notes.extend(deviations.as_ref().and_then(|d| snooping::missing_terms(&problem, d)));
+    let of_lens = deviations.as_ref().filter(|_| options.ties == TiesFrom::Images);
+    notes.extend(of_lens.and_then(|d| snooping::missing_terms(&problem, d)));
     let end = End { problem, deviations, kept, ties, dropped_ties, blunders, summary, sigma_tie_px, notes };
     let mut adjusted = outcome::outcome(&world, points, &control, end);
     adjusted.notes.extend(snooping::rays_apart(&adjusted.points, options.sigma_image_px));

@@ -30,6 +30,15 @@ pub enum Error {
     /// The caller asked for something that cannot be: options that contradict each other, an output that exists.
     #[error("{what}; {remedy}")]
     Usage { what: String, remedy: String },
+    /// The best change of datum that is installed is coarser than what was demanded.
+    #[error("{what}; {install}, or {otherwise}")]
+    CoarseDatum {
+        what: String,
+        /// How to install a better one.
+        install: String,
+        /// What helps without it; callers know other ways than the usual one.
+        otherwise: String,
+    },
     /// It cannot be done within the memory (or other) limit; the numbers say by how much.
     #[error("{what}: needs {needed} bytes, allowed are {allowed}; {remedy}")]
     Limit { what: String, needed: u64, allowed: u64, remedy: String },

@@ -47,11 +47,12 @@ fn make_mask(frame: &Path, folder: &Path, taught: &Taught, given: &Given, option
     let names = Names::of(frame, folder);
     let fingerprint = resume::fingerprint(frame, taught, given, options);
     let earlier = resume::earlier(&names);
-    if options.resume
-        && let Some(earlier) = earlier.as_ref().filter(|earlier| earlier.is_whole(&names, &fingerprint))
-    {
-        return Ok(Done { report: earlier.report(&names), picture: None });
-    }
+    let earlier = match earlier {
+        Some(earlier) if options.resume && earlier.is_whole(&names, &fingerprint) => {
+            return Ok(Done { report: earlier.report(&names), picture: None });
+        }
+        other => other,
+    };
     // With --resume, what is there belongs to a frame that has changed, or to a run that was stopped.
     autoref_raster::atomic::check_outputs(
         &[&names.mask, &names.xml],

@@ -26,6 +26,7 @@ pub mod model;
 pub mod morphology;
 pub mod names;
 pub mod options;
+mod or_nothing;
 pub mod outline;
 pub mod plane;
 pub mod reduce;

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::memory_plan::cache_share_bytes;
 use autoref_raster::{RasterSource, ReaderChoice};
+use serde::{Deserialize, Serialize};
 
 use crate::clean::Cleaning;
 use crate::light::Correction;
@@ -13,10 +14,14 @@ use crate::reduce::{Reading, Reduced, reduce_frame};
 use crate::write::MaskCompression;
 
 /// How the ground is told from the rest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Method {
+    #[serde(rename = "thesis-2017")]
     Thesis2017,
+    #[serde(rename = "threshold")]
     Threshold,
+    #[default]
+    #[serde(rename = "auto")]
     Auto,
 }
 

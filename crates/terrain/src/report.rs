@@ -3,50 +3,101 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::bits::BitMask;
 use crate::classify::Classes;
 use crate::names::Names;
-use crate::options::Options;
+use crate::options::{Method, Options};
+use crate::or_nothing::{self, or_nothing};
 use crate::reduce::Reduced;
 use crate::unlike::UNLIKE_SHARE;
 
-/// What became of a frame.
-#[derive(Clone, Debug, Serialize)]
+/// Whether a frame was masked in this run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Status {
+    Done,
+    /// An earlier run did, from the same: so is every report that is read.
+    #[default]
+    Unchanged,
+}
+
+impl Status {
+    /// As the report and the terminal have it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Status::Done => "done",
+            Status::Unchanged => "unchanged",
+        }
+    }
+}
+
+/// What became of a frame. Reports of older programs lack fields, and people edit them: what is not there or cannot be
+/// read is as if nothing had been said, and the others hold.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Report {
-    #[serde(serialize_with = "autoref_raster::path_text::one")]
+    #[serde(serialize_with = "autoref_raster::path_text::one", deserialize_with = "or_nothing")]
     pub frame: PathBuf,
-    pub status: &'static str,
+    #[serde(skip_deserializing)]
+    pub status: Status,
+    #[serde(deserialize_with = "or_nothing")]
     pub width: u64,
+    #[serde(deserialize_with = "or_nothing")]
     pub height: u64,
+    #[serde(deserialize_with = "or_nothing")]
     pub keep_share: f64,
+    #[serde(deserialize_with = "or_nothing")]
     pub classes: Shares,
+    #[serde(deserialize_with = "or_nothing")]
     pub unsure_share: f64,
     /// Share of the frame that is far from all that was taught (`auto`).
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "or_nothing")]
     pub unlike_share: Option<f64>,
+    #[serde(deserialize_with = "or_nothing::texts")]
     pub warnings: Vec<String>,
-    #[serde(serialize_with = "autoref_raster::path_text::one")]
+    /// Where it is now, whatever an earlier report says.
+    #[serde(serialize_with = "autoref_raster::path_text::one", skip_deserializing)]
     pub mask: PathBuf,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", skip_deserializing)]
     #[serde(serialize_with = "autoref_raster::path_text::some")]
     pub probability: Option<PathBuf>,
-    pub method: &'static str,
-    pub reduce: usize,
+    #[serde(deserialize_with = "or_nothing")]
+    pub method: Method,
+    #[serde(deserialize_with = "or_nothing")]
+    pub reduce: Reduction,
     /// Names of the files that were written, in the folder of the masks.
+    #[serde(deserialize_with = "or_nothing::texts")]
     pub outputs: Vec<String>,
     /// What they hold, but for this report: fingerprints by name.
+    #[serde(deserialize_with = "or_nothing::texts_by_name")]
     pub contents: BTreeMap<String, String>,
+    #[serde(deserialize_with = "or_nothing")]
     pub fingerprint: String,
 }
 
+/// How many pixels of the frame, along a side, are one of the features.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Reduction(pub usize);
+
+impl Default for Reduction {
+    /// Of the thesis.
+    fn default() -> Self {
+        Reduction(4)
+    }
+}
+
 /// Shares of the frame's pixels.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Shares {
+    #[serde(deserialize_with = "or_nothing")]
     pub keep: f64,
+    #[serde(deserialize_with = "or_nothing")]
     pub mask: f64,
     /// Pixels that hold nothing; they are masked.
+    #[serde(deserialize_with = "or_nothing")]
     pub empty: f64,
 }
 
@@ -89,7 +140,7 @@ pub(crate) fn report(
     }
     Report {
         frame: frame.into(),
-        status: "done",
+        status: Status::Done,
         width: reduced.width,
         height: reduced.height,
         keep_share: keep,
@@ -99,8 +150,8 @@ pub(crate) fn report(
         warnings,
         mask: names.mask.clone(),
         probability: classes.probability.as_ref().map(|_| names.probability.clone()),
-        method: options.method.name(),
-        reduce: reduced.factor,
+        method: options.method,
+        reduce: Reduction(reduced.factor),
         outputs: names.written(options, classes.probability.is_some()),
         contents: BTreeMap::new(),
         fingerprint,

@@ -113,7 +113,7 @@ fn entry(report: &Report, picture: Option<String>, scatter: Option<String>) -> S
         picture.unwrap_or_default(),
         report.width,
         report.height,
-        report.method,
+        report.method.name(),
         100.0 * report.classes.keep,
         100.0 * report.classes.mask,
         100.0 * report.classes.empty,

@@ -258,8 +258,9 @@ fn done_frames_are_left_alone_until_something_changes() {
     let (given, mut options) = (samples(), options(Method::Thesis2017));
     (options.overwrite, options.resume) = (false, true);
     let classifier = teach(std::slice::from_ref(&frame), &given, &options).unwrap();
-    let status =
-        |options: &Options| mask_frame(&frame, folder.path(), &classifier, &given, options).map(|d| d.report.status);
+    let status = |options: &Options| {
+        mask_frame(&frame, folder.path(), &classifier, &given, options).map(|d| d.report.status.name())
+    };
     assert_eq!(status(&options).unwrap(), "done");
     assert_eq!(status(&options).unwrap(), "unchanged");
     options.cleaning.disc = 7;
@@ -285,7 +286,7 @@ fn what_is_stale_or_gone_is_noticed() {
     };
     let run = |options: &Options| {
         let taught = teach(std::slice::from_ref(&frame), &given, options).unwrap();
-        mask_frame(&frame, folder.path(), &taught, &given, options).unwrap().report.status
+        mask_frame(&frame, folder.path(), &taught, &given, options).unwrap().report.status.name()
     };
     let mut all = options(Method::Thesis2017);
     all.resume = true;

@@ -12,6 +12,8 @@ pub struct AdjustOptions {
     pub sigma_image_px: f64,
     /// 1σ of ties in the image; `None` takes it from their residuals.
     pub sigma_tie_px: Option<f64>,
+    /// Where the ties come from.
+    pub ties: TiesFrom,
     /// What their residuals say of ties is no less than this: windows of two frames that are laid upon each other agree
     /// more closely than they show the same ground.
     pub least_sigma_tie_px: f64,
@@ -21,6 +23,15 @@ pub struct AdjustOptions {
     pub rough: Vec<Option<RoughPose>>,
     /// Normalised residuals beyond this name a blunder.
     pub critical: f64,
+}
+
+/// What ties are made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TiesFrom {
+    /// They were measured in the images, and say how good the lens is.
+    Images,
+    /// They stand for the poses of a reconstruction, which its lens made: of the lens they say nothing.
+    Poses,
 }
 
 /// A pose known roughly.
@@ -36,6 +47,7 @@ impl Default for AdjustOptions {
         AdjustOptions {
             sigma_image_px: 1.0,
             sigma_tie_px: None,
+            ties: TiesFrom::Images,
             least_sigma_tie_px: 0.02,
             interior: vec![(Parameter::F, None), (Parameter::K1, None)],
             rough: Vec::new(),

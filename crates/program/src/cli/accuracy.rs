@@ -7,7 +7,7 @@ use autoref_solve::accuracy::{self, CheckError, CornerError, StatementOptions};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::{GcpList, GcpRole};
 use autoref_stream::pipeline::reasons::Reason;
-use autoref_stream::result::{ChosenModel, Misfit, RunResult, SolvedRun};
+use autoref_stream::result::{ChosenModel, Misfit, RunResult, SolvedRun, Warning};
 use clap::Args;
 
 /// Survey errors and the statement.
@@ -93,7 +93,7 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
         (Some(bend), None | Some(Misfit::Departs { .. })) => Some(bend.note()),
         (_, misfit) => misfit.map(|misfit| misfit.note()),
     };
-    result.warnings.extend(note);
+    result.warnings.extend(note.map(Warning::Said));
 }
 
 /// Check points that lie in the image and are in no figure: a test is as good as what it leaves out.

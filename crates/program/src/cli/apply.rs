@@ -6,12 +6,12 @@ use anyhow::bail;
 use autoref_raster as raster;
 use autoref_raster::atomic::Transaction;
 use autoref_raster::memory_plan;
-use autoref_stream::georef::output::Output;
 use autoref_stream::georef::transfer::{self, Edges};
 use autoref_stream::result::RunResult;
 use clap::Args;
 
 use crate::cli::prepare::threads;
+use crate::cli::progress::Telling;
 use crate::cli::values::Bytes;
 use crate::cli::write::{WarpBar, WriteArgs};
 
@@ -67,7 +67,7 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     let _folder = args.write.folder()?;
     let request = args.write.request(&image, page, args.memory.0, threads(args.threads))?;
     let mut transaction = Transaction::new();
-    let bar = WarpBar::new(request.wants(Output::Warp) && !args.quiet && !args.json);
+    let bar = WarpBar::new(&request, Telling::of_flags(args.quiet, args.json));
     let warnings = request.stage(&result, &mut transaction, &|done| bar.set(done))?;
     drop(bar);
     let written: Vec<String> = transaction.paths().iter().map(|path| path.display().to_string()).collect();

@@ -1,5 +1,7 @@
 //! `autoref-stream compare-solvers`: the same matched points by all solvers, in the plane and in space.
 
+mod compared;
+
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -12,10 +14,11 @@ use autoref_solve::{Pair, planar};
 use autoref_stream::georef::spreadsheet::Spreadsheet;
 use autoref_stream::result::RunResult;
 use clap::Args;
-use nalgebra::{Matrix3, Vector3};
-use serde_json::{Value, json};
+use nalgebra::Vector3;
+use serde_json::json;
 
-use crate::cli::residual_analysis::{Residual, analyse};
+use self::compared::{Compared, Found, Partly, Solved, Space, Turn, failed, print};
+use crate::cli::residual_analysis::{Analysis, Residual, analyse};
 use crate::cli::run::{self, LookArgs};
 use crate::cli::solving::{SolverArg, flat};
 use autoref_raster::words::counted;
@@ -40,6 +43,9 @@ fn share(text: &str) -> Result<f64, String> {
     let value = text.parse::<f64>().ok().filter(|v| (0.0..0.5).contains(v));
     value.ok_or_else(|| format!("`{text}` is no share from 0 to below 0.5"))
 }
+
+/// Units of the two sides where marks are taken as they lie in the image.
+const PIXELS: &str = "pixels to metres";
 
 /// A matched point: what is known of it on both sides.
 struct Row {
@@ -74,11 +80,8 @@ pub fn run(args: &CompareArgs) -> anyhow::Result<ExitCode> {
         (of_result(&result, input)?, "image")
     };
     let mut solvers = compare(&rows);
-    for value in &mut solvers {
-        let analysis = analysis(&rows, value, args.tail_cut);
-        if let Some(analysis) = analysis {
-            value["analysis"] = analysis;
-        }
+    for solved in solvers.iter_mut().filter_map(Compared::solved_mut) {
+        solved.analysis = Some(analysis(&rows, solved, args.tail_cut));
     }
     if args.look.json {
         let document = json!({
@@ -103,23 +106,24 @@ impl Row {
 }
 
 /// The residuals of a solver against the places of their points.
-fn analysis(rows: &[Row], solved: &Value, tail_cut: f64) -> Option<Value> {
-    let residuals: Vec<Residual> = solved["residuals"]
-        .as_array()?
+fn analysis(rows: &[Row], solved: &Solved, tail_cut: f64) -> Analysis {
+    let known = |value: &f64| value.is_finite();
+    let residuals: Vec<Residual> = solved
+        .residuals
         .iter()
         .filter_map(|residual| {
-            let row = rows.iter().find(|row| residual["gcp"] == row.name.as_str())?;
+            let row = rows.iter().find(|row| row.name == residual.gcp)?;
             let plan = row.plan?;
             Some(Residual {
                 position: [plan.easting, plan.northing],
                 height_m: row.height_m,
-                e_m: residual["e_m"].as_f64()?,
-                n_m: residual["n_m"].as_f64()?,
-                h_m: residual["h_m"].as_f64(),
+                e_m: residual.e_m.filter(known)?,
+                n_m: residual.n_m.filter(known)?,
+                h_m: residual.h_m.filter(known),
             })
         })
         .collect();
-    Some(analyse(&residuals, tail_cut))
+    analyse(&residuals, tail_cut)
 }
 
 /// Control points of a result in the metres of its fit, with the heights that its elevation model or list brought.
@@ -208,7 +212,7 @@ fn of_table(path: &Path) -> anyhow::Result<Vec<Row>> {
     Ok(rows)
 }
 
-fn compare(rows: &[Row]) -> Vec<Value> {
+fn compare(rows: &[Row]) -> Vec<Compared> {
     let flat_rows: Vec<&Row> = rows.iter().filter(|r| r.plan.is_some()).collect();
     let names: Vec<&str> = flat_rows.iter().map(|r| r.name.as_str()).collect();
     let pairs: Vec<Pair> = flat_rows
@@ -226,21 +230,21 @@ fn compare(rows: &[Row]) -> Vec<Value> {
         let solved = solver.in_space(&level);
         // A rotation in space turns a plane over where its points are a mirror image.
         if solved.as_ref().is_ok_and(|(orientation, _)| orientation.rotation[(2, 2)] <= 0.0) {
-            out.push(failed(Space::Plane, solver.solver().name(), "pixels to metres", "the points are a mirror image"));
+            let why = "the points are a mirror image";
+            out.push(failed(Space::Plane, solver.solver().name(), PIXELS, why));
             continue;
         }
-        out.push(entry(Space::Plane, solver.solver().name(), "pixels to metres", &names, &level, solved));
+        out.push(entry(Space::Plane, solver.solver().name(), PIXELS, &names, &level, solved));
     }
     for (kind, name) in [(planar::Kind::Affine, "Affine"), (planar::Kind::Projective, "Projective")] {
         out.push(match planar::fit(&pairs, kind) {
             Ok(fit) => {
                 let residuals: Vec<[Option<f64>; 3]> =
                     fit.residuals_m.iter().map(|r| [Some(r[0]), Some(r[1]), None]).collect();
-                let mut value = statistics(Space::Plane, name, "pixels to metres", &names, &residuals);
-                value["leave_one_out_rmse_m"] = json!(fit.leave_one_out_rmse_m);
-                value
+                let found = Found::Planar { leave_one_out_rmse_m: fit.leave_one_out_rmse_m };
+                Compared::solved((Space::Plane, name, PIXELS), &names, &residuals, found)
             }
-            Err(why) => failed(Space::Plane, name, "pixels to metres", &why.to_string()),
+            Err(why) => failed(Space::Plane, name, PIXELS, &why.to_string()),
         });
     }
     let full: Vec<&Row> = rows.iter().filter(|r| r.is_full()).collect();
@@ -287,7 +291,7 @@ fn compare(rows: &[Row]) -> Vec<Value> {
 }
 
 /// Kraus with the points that are known only in plan or only in height beside the others.
-fn partly(rows: &[Row], model: &dyn Fn(&Row) -> Vector3<f64>) -> Value {
+fn partly(rows: &[Row], model: &dyn Fn(&Row) -> Vector3<f64>) -> Compared {
     let mut names = Vec::new();
     let mut points = Vec::new();
     for row in rows {
@@ -305,175 +309,60 @@ fn partly(rows: &[Row], model: &dyn Fn(&Row) -> Vector3<f64>) -> Value {
     }
     match partial::adjust(&points) {
         Ok(fit) => {
-            let mut value = statistics(Space::Full, "KrausPartial", "metres", &names, &fit.residuals);
-            turned(&mut value, fit.scale, &fit.rotation, Space::Full);
-            value["sigma0_m"] = json!(fit.sigma0);
             let count = |known: Known| points.iter().filter(|p| p.known == known).count();
-            value["plan_only"] = json!(count(Known::Plan));
-            value["height_only"] = json!(count(Known::Height));
-            value
+            let found = Found::Turned {
+                turn: Turn::of(fit.scale, &fit.rotation, Space::Full),
+                sigma0_m: fit.sigma0,
+                partly: Some(Partly { plan_only: count(Known::Plan), height_only: count(Known::Height) }),
+            };
+            Compared::solved((Space::Full, "KrausPartial", "metres"), &names, &fit.residuals, found)
         }
         Err(why) => failed(Space::Full, "KrausPartial", "metres", &why.to_string()),
     }
 }
 
 /// The weighted similarity, which a run uses.
-fn weighted(pairs: &[Pair], names: &[&str]) -> Value {
+fn weighted(pairs: &[Pair], names: &[&str]) -> Compared {
     match autoref_solve::solve(pairs) {
         Ok(solution) => {
             let residuals: Vec<[Option<f64>; 3]> =
                 solution.pairs.iter().map(|p| [Some(p.residual_e_m), Some(p.residual_n_m), None]).collect();
-            let mut value = statistics(Space::Plane, "Similarity", "pixels to metres", names, &residuals);
-            value["scale"] = json!(solution.scale_m_per_px);
-            value["rotation_deg"] = json!(solution.rotation_deg);
             let left_out: Option<Vec<f64>> = solution
                 .pairs
                 .iter()
                 .map(|p| p.leave_one_out_e_m.zip(p.leave_one_out_n_m).map(|(e, n)| e * e + n * n))
                 .collect();
-            value["leave_one_out_rmse_m"] =
-                json!(left_out.map(|squares| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()));
-            value
+            let rms = |squares: Vec<f64>| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+            let found = Found::Weighted {
+                scale: solution.scale_m_per_px,
+                rotation_deg: solution.rotation_deg,
+                leave_one_out_rmse_m: left_out.map(rms),
+            };
+            Compared::solved((Space::Plane, "Similarity", PIXELS), names, &residuals, found)
         }
-        Err(why) => failed(Space::Plane, "Similarity", "pixels to metres", &why.to_string()),
-    }
-}
-
-/// What a solver places points in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Space {
-    Plane,
-    Full,
-}
-
-impl Space {
-    fn word(self) -> &'static str {
-        match self {
-            Space::Plane => "plane",
-            Space::Full => "space",
-        }
-    }
-
-    /// A residual of heights, which a plane has not.
-    fn height(self, residual: f64) -> Option<f64> {
-        (self == Space::Full).then_some(residual)
+        Err(why) => failed(Space::Plane, "Similarity", PIXELS, &why.to_string()),
     }
 }
 
 type InSpace = Result<(absolute::AbsoluteOrientation, Option<f64>), absolute::Undetermined>;
 
-fn entry(space: Space, solver: &str, units: &str, names: &[&str], points: &[PointPair], solved: InSpace) -> Value {
+fn entry(
+    space: Space,
+    solver: &'static str,
+    units: &'static str,
+    names: &[&str],
+    points: &[PointPair],
+    solved: InSpace,
+) -> Compared {
     debug_assert_eq!(names.len(), points.len());
     match solved {
         Ok((orientation, sigma0)) => {
             let residuals: Vec<[Option<f64>; 3]> =
                 orientation.residuals.iter().map(|r| [Some(r.x), Some(r.y), space.height(r.z)]).collect();
-            let mut value = statistics(space, solver, units, names, &residuals);
-            turned(&mut value, orientation.scale, &orientation.rotation, space);
-            value["sigma0_m"] = json!(sigma0);
-            value
+            let turn = Turn::of(orientation.scale, &orientation.rotation, space);
+            let found = Found::Turned { turn, sigma0_m: sigma0, partly: None };
+            Compared::solved((space, solver, units), names, &residuals, found)
         }
         Err(why) => failed(space, solver, units, &why.to_string()),
     }
-}
-
-fn turned(value: &mut Value, scale: f64, rotation: &Matrix3<f64>, space: Space) {
-    value["scale"] = json!(scale);
-    let turns = absolute::roll_pitch_yaw_deg(rotation);
-    value["rotation_deg"] = json!(turns[2]);
-    if space == Space::Full {
-        value["roll_deg"] = json!(turns[0]);
-        value["pitch_deg"] = json!(turns[1]);
-        value["yaw_deg"] = json!(turns[2]);
-    }
-}
-
-fn failed(space: Space, solver: &str, units: &str, why: &str) -> Value {
-    json!({"space": space.word(), "solver": solver, "units": units, "status": "undetermined", "reason": why})
-}
-
-/// RMSE is √(mean of squared lengths), divisor n, for each axis over the points that are known in it.
-fn statistics(space: Space, solver: &str, units: &str, names: &[&str], residuals: &[[Option<f64>; 3]]) -> Value {
-    let rms = |axis: usize| {
-        let known: Vec<f64> = residuals.iter().filter_map(|r| r[axis]).collect();
-        (!known.is_empty()).then(|| (known.iter().map(|v| v * v).sum::<f64>() / known.len() as f64).sqrt())
-    };
-    let axes = [rms(0), rms(1), rms(2)];
-    let length = |r: &[Option<f64>; 3]| r.iter().flatten().map(|v| v * v).sum::<f64>().sqrt();
-    let lengths: Vec<f64> = residuals.iter().map(length).collect();
-    let rows: Vec<Value> = names
-        .iter()
-        .zip(residuals)
-        .zip(&lengths)
-        .map(|((name, r), length)| json!({"gcp": name, "e_m": r[0], "n_m": r[1], "h_m": r[2], "length_m": length}))
-        .collect();
-    json!({
-        "space": space.word(),
-        "solver": solver,
-        "units": units,
-        "status": "solved",
-        "points": names.len(),
-        "rmse_m": axes.iter().flatten().map(|v| v * v).sum::<f64>().sqrt(),
-        "rmse_e_m": axes[0],
-        "rmse_n_m": axes[1],
-        "rmse_h_m": axes[2],
-        "min_residual_m": lengths.iter().copied().fold(f64::INFINITY, f64::min),
-        "max_residual_m": lengths.iter().copied().fold(0.0, f64::max),
-        "residuals": rows,
-    })
-}
-
-fn print(solvers: &[Value]) {
-    println!(
-        "{:<6} {:<17} {:<17} {:>3} {:>15} {:>11} {:>10} {:>10} {:>10} {:>10} {:>10}",
-        "space", "solver", "units", "n", "scale", "yaw °", "RMSE m", "E m", "N m", "height m", "max m"
-    );
-    for value in solvers {
-        let text = |key: &str| value[key].as_str().unwrap_or_default();
-        let figure =
-            |key: &str, digits: usize| value[key].as_f64().map_or("–".to_owned(), |v| format!("{v:.digits$}"));
-        if value["status"] != "solved" {
-            println!("{:<6} {:<17} {:<17} {}", text("space"), text("solver"), text("units"), text("reason"));
-            continue;
-        }
-        println!(
-            "{:<6} {:<17} {:<17} {:>3} {:>15} {:>11} {:>10} {:>10} {:>10} {:>10} {:>10}",
-            text("space"),
-            text("solver"),
-            text("units"),
-            value["points"],
-            figure("scale", 11),
-            figure("rotation_deg", 6),
-            figure("rmse_m", 6),
-            figure("rmse_e_m", 6),
-            figure("rmse_n_m", 6),
-            figure("rmse_h_m", 6),
-            figure("max_residual_m", 6)
-        );
-        if let Some(normality) = normality(value) {
-            println!("{:>24} {normality}", "");
-        }
-        if let (Some(roll), Some(pitch), Some(yaw)) =
-            (value["roll_deg"].as_f64(), value["pitch_deg"].as_f64(), value["yaw_deg"].as_f64())
-        {
-            println!("{:>24} roll {roll:.6}°, pitch {pitch:.6}°, yaw {yaw:.6}°", "");
-        }
-    }
-}
-
-/// One line on the analysis: p-values of normality and the correlation of magnitude and distance.
-fn normality(value: &Value) -> Option<String> {
-    let analysis = &value["analysis"];
-    let p =
-        |axis: &str| analysis[axis]["normality"]["p_value"].as_f64().map_or("–".to_owned(), |p| format!("{p:.3}"));
-    let grows = &analysis["correlations"]["magnitude_distance_2d"];
-    let r = grows["r"].as_f64()?;
-    Some(format!(
-        "normal: p {} E, {} N, {} height; magnitude and distance: r {r:.4} ({:.4} to {:.4})",
-        p("easting"),
-        p("northing"),
-        p("height"),
-        grows["low_95"].as_f64()?,
-        grows["high_95"].as_f64()?
-    ))
 }

@@ -12,12 +12,12 @@ use autoref_raster::words::counted;
 use autoref_stream::candidate::{Candidate, least_whole_area_px};
 use autoref_stream::gcp::GcpList;
 use autoref_stream::matching::diagnosis::Diagnosis;
-use autoref_stream::matching::{Effort, Evidence, Pattern};
+use autoref_stream::matching::{Effort, Evidence, Pattern, SearchEnd};
 use autoref_stream::pipeline::georeference::{FoundMark, Orientation, Outcome, Run};
 use autoref_stream::pipeline::reasons::reasons;
 use autoref_stream::result::{
     FitFigures, ImageInfo, LEAST_MISFIT_PX, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunResult,
-    SolvedRun, Status, Timings,
+    SolvedRun, Status, Timings, Warning,
 };
 
 use crate::cli::overridden::Overridden;
@@ -54,11 +54,11 @@ impl Document {
             candidates,
             log10_false_alarms: evidence.log10_false_alarms,
             runner_up: evidence.runner_up,
-            search_cut: evidence.search.search_cut,
+            search_cut: evidence.search.ended == SearchEnd::TimeLimit,
             search: Some(evidence.search),
             prior_georeference: None,
             diagnoses: evidence.diagnoses,
-            warnings: list.notes.clone(),
+            warnings: list.notes.iter().cloned().map(Warning::Said).collect(),
             patch: None,
             files_written: Vec::new(),
             reading: None,
@@ -73,11 +73,12 @@ impl Document {
             let notes = fit_notes(&result, orientation, list);
             result.warnings.extend(notes);
         }
-        if let Some(effort) = result.search.as_ref().filter(|effort| effort.search_cut) {
-            result.warnings.push(format!(
+        if let Some(effort) = result.search.as_ref().filter(|effort| effort.ended == SearchEnd::TimeLimit) {
+            let said = format!(
                 "--time-limit ended the search after {} of {:.3e} hypotheses",
                 effort.hypotheses_tried, effort.hypotheses_possible
-            ));
+            );
+            result.warn(said);
         }
         Document { result }
     }
@@ -127,7 +128,7 @@ impl Document {
             self.result.geotransform().zip(here).map(|(new, here)| Overridden::between(&here, &new, size, per_unit));
         if self.result.solved().is_some() {
             let plain = || "the image's own georeference is overridden".to_owned();
-            self.result.warnings.push(change.as_ref().map_or_else(plain, Overridden::note));
+            self.result.warn(change.as_ref().map_or_else(plain, Overridden::note));
         }
         self.result.prior_georeference = Some(PriorGeoreference {
             geotransform: old,
@@ -239,16 +240,16 @@ fn check_rows(orientation: &Orientation, list: &GcpList) -> Vec<MatchRow> {
 }
 
 /// What a person should know of the fit.
-fn fit_notes(result: &RunResult, orientation: &Orientation, list: &GcpList) -> Vec<String> {
-    let mut notes = orientation.solution.warnings.clone();
+fn fit_notes(result: &RunResult, orientation: &Orientation, list: &GcpList) -> Vec<Warning> {
+    let mut notes: Vec<Warning> = orientation.solution.warnings.iter().cloned().map(Warning::Said).collect();
     let checks = result.solved().map_or(&[][..], |solved| &solved.check_points);
     let all = result.matches().iter().chain(checks);
     let outliers: Vec<&str> = all.filter(|m| m.outlier).map(|m| m.gcp.as_str()).collect();
     if !outliers.is_empty() {
-        notes.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")));
+        notes.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")).into());
     }
     notes.extend(near_misses(&result.candidates, orientation, list));
-    notes.extend(other_pattern(orientation));
+    notes.extend(other_pattern(orientation).map(Warning::Said));
     notes
 }
 
@@ -270,11 +271,8 @@ fn other_pattern(orientation: &Orientation) -> Option<String> {
     })
 }
 
-/// How a doubt begins about a point whose mark is missing.
-pub const NO_MARK_THERE: &str = "no mark where it must be";
-
 /// GCPs without a mark where it must be, but with one not far off: mark or survey may be wrong, and by how much.
-fn near_misses(candidates: &[Candidate], orientation: &Orientation, list: &GcpList) -> Vec<String> {
+fn near_misses(candidates: &[Candidate], orientation: &Orientation, list: &GcpList) -> Vec<Warning> {
     const NEAR_PX: f64 = 60.0;
     let solution = &orientation.solution;
     let all = || orientation.marks.iter().chain(&orientation.check_marks);
@@ -287,17 +285,14 @@ fn near_misses(candidates: &[Candidate], orientation: &Orientation, list: &GcpLi
         .filter_map(|&gcp| {
             let place = solution.similarity.invert(list.gcps[gcp].position());
             let distance = |c: &Candidate| (c.centre.x - place.x).hypot(c.centre.y - place.y);
-            let nearest = candidates
+            let off_px = candidates
                 .iter()
                 .filter(|c| !taken(c) && is_whole(c))
                 .map(distance)
                 .filter(|d| *d < NEAR_PX)
                 .min_by(f64::total_cmp)?;
-            Some(format!(
-                "{}: {NO_MARK_THERE}, but one {nearest:.1} px = {:.3} m beside it; mark or survey may be wrong",
-                list.gcps[gcp].name,
-                nearest * solution.scale_m_per_px
-            ))
+            let name = list.gcps[gcp].name.clone();
+            Some(Warning::NearMiss { gcp: name, off_px, off_m: off_px * solution.scale_m_per_px })
         })
         .collect()
 }

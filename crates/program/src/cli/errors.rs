@@ -3,6 +3,7 @@
 //! What an error carries as data is taken from it. The rest is read off its line, which is built alike everywhere: the
 //! file or the option first, then the row or the like, then what is wrong, and behind the last semicolon the remedy.
 
+use std::borrow::Cow;
 use std::path::Path;
 
 use autoref_raster::Error;
@@ -15,18 +16,21 @@ pub fn document(error: &anyhow::Error, line: &str) -> Value {
     let (said_file, said_place) = file_and_place(line);
     let file = file.map(|path| path.display().to_string()).or(said_file);
     let place = place.cloned().or(said_place);
-    let remedy = remedy.cloned().or_else(|| remedy_of(line));
+    let remedy = remedy.map(Cow::into_owned).or_else(|| remedy_of(line));
     json!({"error": {"kind": kind, "file": file, "place": place, "message": line, "remedy": remedy}})
 }
 
-type Parts<'a> = (&'static str, Option<&'a std::path::PathBuf>, Option<&'a String>, Option<&'a String>);
+type Parts<'a> = (&'static str, Option<&'a std::path::PathBuf>, Option<&'a String>, Option<Cow<'a, str>>);
 
 fn parts(error: &Error) -> Parts<'_> {
     match error {
         Error::Format { path, place, .. } => ("format", Some(path), Some(place), None),
-        Error::Unsupported { path, remedy, .. } => ("unsupported", Some(path), None, Some(remedy)),
-        Error::Usage { remedy, .. } => ("usage", None, None, Some(remedy)),
-        Error::Limit { remedy, .. } => ("limit", None, None, Some(remedy)),
+        Error::Unsupported { path, remedy, .. } => ("unsupported", Some(path), None, Some(remedy.into())),
+        Error::Usage { remedy, .. } => ("usage", None, None, Some(remedy.into())),
+        Error::CoarseDatum { install, otherwise, .. } => {
+            ("usage", None, None, Some(format!("{install}, or {otherwise}").into()))
+        }
+        Error::Limit { remedy, .. } => ("limit", None, None, Some(remedy.into())),
         Error::Io { path, .. } => ("io", Some(path), None, None),
         Error::Gdal { path, .. } => ("gdal", Some(path), None, None),
         _ => ("other", None, None, None),
@@ -38,7 +42,7 @@ fn flight(error: &anyhow::Error) -> Parts<'_> {
     use autoref_flight::Error;
     match error.chain().find_map(|cause| cause.downcast_ref::<Error>()) {
         Some(Error::Raster(inner)) => parts(inner),
-        Some(Error::NoResult { remedy, .. }) => ("refused", None, None, Some(remedy)),
+        Some(Error::NoResult { remedy, .. }) => ("refused", None, None, Some(remedy.into())),
         Some(_) | None => ("other", None, None, None),
     }
 }

@@ -205,10 +205,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     let found = resect(&camera, &seen, &options)?;
     let said = notes.clone();
     notes.extend(plausible::below_ground(std::iter::once(&found.pose), seen.iter().map(|s| &s.xyz), &world));
-    let mut document = document::resection(&found, &name, (&seen, &checks), &world, control.crs_label());
-    if let Some(all) = document.get_mut("notes").and_then(serde_json::Value::as_array_mut) {
-        all.extend(notes.into_iter().map(serde_json::Value::from));
-    }
+    let document = document::resection(&found, &name, (&seen, &checks), (&world, control.crs_label()), notes);
     finish(&document, args.output.as_deref(), args.json)?;
     if !args.json {
         document::say(&document, &said);

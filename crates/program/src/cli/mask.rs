@@ -352,7 +352,11 @@ fn tell(args: &MaskArgs, bar: &ProgressBar, report: &Report) -> anyhow::Result<(
         let words = report.warnings.iter().map(|w| format!("; {w}")).collect::<String>();
         let (keep, unsure) = (100.0 * report.keep_share, 100.0 * report.unsure_share);
         bar.suspend(|| {
-            println!("{}: {}, {keep:.1} % kept, {unsure:.1} % unsure{words}", report.mask.display(), report.status);
+            println!(
+                "{}: {}, {keep:.1} % kept, {unsure:.1} % unsure{words}",
+                report.mask.display(),
+                report.status.name()
+            );
         });
     }
     Ok(())

@@ -23,19 +23,33 @@ enum Shown {
     Lines(Lines),
 }
 
+/// Whether progress is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Telling {
+    Told,
+    Silent,
+}
+
+impl Telling {
+    /// Nothing is told with --quiet, and beside the document of --json.
+    pub fn of_flags(quiet: bool, json: bool) -> Self {
+        if quiet || json { Telling::Silent } else { Telling::Told }
+    }
+}
+
 impl Bar {
-    pub fn new(info: &RasterInfo, quiet: bool) -> Self {
+    pub fn new(info: &RasterInfo, telling: Telling) -> Self {
         let bytes_per_pixel = (info.bands * info.sample.bytes()) as u64;
         let bytes = info.pixels() * bytes_per_pixel;
-        let shown = match (quiet, std::io::stderr().is_terminal()) {
-            (true, _) => Shown::Nothing,
-            (false, true) => {
+        let shown = match (telling, std::io::stderr().is_terminal()) {
+            (Telling::Silent, _) => Shown::Nothing,
+            (Telling::Told, true) => {
                 let bar = indicatif::ProgressBar::new(bytes);
                 bar.set_style(Bar::reading());
                 bar.set_message("reading");
                 Shown::Moving(bar)
             }
-            (false, false) => Shown::Lines(Lines::new("reading", bytes)),
+            (Telling::Told, false) => Shown::Lines(Lines::new("reading", bytes)),
         };
         Bar { shown, bytes_per_pixel }
     }

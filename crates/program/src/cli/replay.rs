@@ -17,11 +17,11 @@ use autoref_stream::pipeline::georeference::Outcome;
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
 use autoref_stream::replay::{Replayed, replay};
 use autoref_stream::report;
-use autoref_stream::result::RunResult;
+use autoref_stream::result::{RunResult, Warning};
 
 use crate::cli::accuracy;
 use crate::cli::args::SolveArgs;
-use crate::cli::document::{Document, NO_MARK_THERE};
+use crate::cli::document::Document;
 use crate::cli::run;
 use crate::cli::solving;
 use autoref_raster::words::counted;
@@ -78,13 +78,10 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     {
         let marks: Vec<PixelPoint> = solved.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
         let notes = report::plain_warnings(solution, &marks, image.width as f64, image.height as f64);
-        result.warnings.extend(notes);
+        result.warnings.extend(notes.into_iter().map(Warning::Said));
     }
-    result.warnings.push(format!(
-        "{} by hand replayed from {}",
-        counted(patch.edits.len(), "edit", "edits"),
-        patch_path.display()
-    ));
+    let edits = counted(patch.edits.len(), "edit", "edits");
+    result.warn(format!("{edits} by hand replayed from {}", patch_path.display()));
     if differs(&patch, document.result.geotransform().map(|g| g.0)) {
         bail!(
             "{}: its page had shown another transform: it was not made from {} as that is now; review its page again, or remove `shown` from the patch to replay it all the same",
@@ -134,7 +131,7 @@ fn settle(result: &mut RunResult, patch: &PatchFile) {
             Action::NotVisible => "a review could not see it",
             Action::Accept | Action::Move | Action::Pick => continue,
         };
-        result.warnings.retain(|warning| !warning.starts_with(&format!("{gcp}: {NO_MARK_THERE}")));
+        result.warnings.retain(|warning| !warning.misses(gcp));
         let lost = result.solved_mut().into_iter().flat_map(|solved| &mut solved.not_found);
         lost.filter(|lost| lost.name == gcp).for_each(|lost| lost.detail = said.into());
     }

@@ -12,12 +12,12 @@ use autoref_stream::detector::Detector;
 use autoref_stream::pipeline::Progress;
 use autoref_stream::pipeline::heights::{HeightResult, HeightRow};
 use autoref_stream::report::{self, Gathered, HeightArrow, KeptPixels, Overview, Section, Table};
-use autoref_stream::result::{MatchRow, RunResult, SolvedRun};
+use autoref_stream::result::{MatchRow, RunResult, SolvedRun, Warning};
 use clap::Args;
 
 use crate::cli::lengths::length;
 use crate::cli::progress::Bar;
-use crate::cli::residual_analysis;
+use crate::cli::residual_analysis::{self, Correlation};
 
 #[derive(Args, Debug)]
 pub struct ReportArgs {
@@ -58,7 +58,7 @@ impl<'a> Watch<'a> {
             let marks: Vec<PixelPoint> = solved.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
             let info = self.source.info();
             let words = report::plain_warnings(solution, &marks, info.width as f64, info.height as f64);
-            result.warnings.extend(words);
+            result.warnings.extend(words.into_iter().map(Warning::Said));
         }
         let Some((overview, kept)) = &self.pictures else { return Ok(None) };
         self.bar.stage("making the report");
@@ -129,47 +129,52 @@ fn analysis_section(solved: &SolvedRun) -> Option<Section> {
     };
     let residuals: Vec<_> = solved.matches.iter().map(residual).collect();
     let analysis = residual_analysis::analyse(&residuals, 0.0);
-    let number = |value: &serde_json::Value, digits: usize| {
-        value.as_f64().map_or("–".to_string(), |v| format!("{v:.digits$}"))
-    };
+    let number =
+        |value: f64, digits: usize| if value.is_finite() { format!("{value:.digits$}") } else { "–".to_string() };
     let mut tests: Vec<Vec<String>> = Vec::new();
-    for (name, key) in [("Easting", "easting"), ("Northing", "northing"), ("Height", "height")] {
-        let normality = &analysis[key]["normality"];
-        if !normality.is_null() {
-            let p = normality["p_value"].as_f64().unwrap_or(1.0);
-            let meaning = if p < 0.05 { "not normal: look for blunders or a bend" } else { "as normal errors are" };
+    let components = [
+        ("Easting", Some(&analysis.easting)),
+        ("Northing", Some(&analysis.northing)),
+        ("Height", analysis.height.as_ref()),
+    ];
+    for (name, component) in components {
+        if let Some(normality) = component.and_then(|component| component.normality.as_ref()) {
+            let meaning = if normality.p_value < 0.05 {
+                "not normal: look for blunders or a bend"
+            } else {
+                "as normal errors are"
+            };
             tests.push(vec![
                 format!("{name}: normal (Anderson–Darling)"),
-                number(&normality["statistic"], 3),
-                number(&normality["p_value"], 3),
+                number(normality.statistic, 3),
+                number(normality.p_value, 3),
                 meaning.into(),
             ]);
         }
     }
-    let favoured = &analysis["directions"]["favoured"];
-    if !favoured.is_null() {
-        let p = favoured["p_value"].as_f64().unwrap_or(1.0);
-        let meaning = match p < 0.05 {
-            true => format!("most point to {}° from east", number(&favoured["direction_deg"], 0)),
+    if let Some(favoured) = &analysis.directions.favoured {
+        let meaning = match favoured.p_value < 0.05 {
+            true => format!("most point to {}° from east", number(favoured.direction_deg, 0)),
             false => "no direction is favoured".into(),
         };
         tests.push(vec![
             "Direction (Rayleigh)".into(),
-            number(&favoured["share"], 3),
-            number(&favoured["p_value"], 3),
+            number(favoured.share, 3),
+            number(favoured.p_value, 3),
             meaning,
         ]);
     }
     let mut correlations: Vec<Vec<String>> = Vec::new();
-    for (name, key, meaning) in [
-        ("Length and distance from the centre", "magnitude_distance_2d", "residuals grow outwards: scale or bend"),
-        ("The same in space", "magnitude_distance_3d", "residuals grow outwards in space"),
-        ("Direction and direction from the centre", "direction_outward", "residuals point outwards or inwards"),
+    let found = &analysis.correlations;
+    for (name, correlation, meaning) in [
+        ("Length and distance from the centre", &found.magnitude_distance_2d, "residuals grow outwards: scale or bend"),
+        ("The same in space", &found.magnitude_distance_3d, "residuals grow outwards in space"),
+        ("Direction and direction from the centre", &found.direction_outward, "residuals point outwards or inwards"),
     ] {
-        let c = &analysis["correlations"][key];
-        if let (Some(low), Some(high)) = (c["low_95"].as_f64(), c["high_95"].as_f64()) {
+        let known = correlation.as_ref().filter(|c| c.low_95.is_finite() && c.high_95.is_finite());
+        if let Some(&Correlation { r, low_95: low, high_95: high, .. }) = known {
             let says = if low > 0.0 || high < 0.0 { meaning } else { "none is seen" };
-            correlations.push(vec![name.into(), number(&c["r"], 3), format!("{low:.3} to {high:.3}"), says.into()]);
+            correlations.push(vec![name.into(), number(r, 3), format!("{low:.3} to {high:.3}"), says.into()]);
         }
     }
     let titles = |list: &[&str]| list.iter().map(|title| (*title).to_string()).collect();

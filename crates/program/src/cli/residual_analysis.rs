@@ -6,7 +6,7 @@
 //! favoured direction, with the p-value of J. H. Zar, "Biostatistical analysis", 1999, eq. 27.4. Intervals of
 //! correlations by R. A. Fisher's z, 95 %.
 
-use serde_json::{Value, json};
+use serde::Serialize;
 
 /// A residual and where its point lies, metres.
 pub struct Residual {
@@ -17,14 +17,80 @@ pub struct Residual {
     pub h_m: Option<f64>,
 }
 
+/// What is said of residuals. What too few points leave open is `None`.
+#[derive(Debug, Serialize)]
+pub struct Analysis {
+    pub points: usize,
+    pub tail_cut: f64,
+    /// The mean of the points, metres.
+    pub centre: [f64; 2],
+    pub easting: Component,
+    pub northing: Component,
+    pub height: Option<Component>,
+    pub directions: Directions,
+    pub correlations: Correlations,
+}
+
+/// One component of the residuals.
+#[derive(Debug, Serialize)]
+pub struct Component {
+    pub histogram: Option<Histogram>,
+    pub normality: Option<Normality>,
+}
+
+#[derive(Debug, Serialize)]
+pub struct Histogram {
+    pub from_m: f64,
+    pub to_m: f64,
+    pub counts: [usize; BINS],
+}
+
+#[derive(Debug, Serialize)]
+#[serde(tag = "test", rename = "Anderson-Darling")]
+pub struct Normality {
+    pub statistic: f64,
+    pub p_value: f64,
+    pub n: usize,
+}
+
+#[derive(Debug, Serialize)]
+pub struct Directions {
+    pub sectors: [usize; SECTORS],
+    pub favoured: Option<Favoured>,
+}
+
+#[derive(Debug, Serialize)]
+#[serde(tag = "test", rename = "Rayleigh")]
+pub struct Favoured {
+    /// Anticlockwise from east.
+    pub direction_deg: f64,
+    pub share: f64,
+    pub p_value: f64,
+}
+
+#[derive(Debug, Serialize)]
+pub struct Correlations {
+    pub magnitude_distance_2d: Option<Correlation>,
+    pub magnitude_distance_3d: Option<Correlation>,
+    pub direction_outward: Option<Correlation>,
+}
+
+#[derive(Debug, Serialize)]
+pub struct Correlation {
+    pub r: f64,
+    pub low_95: f64,
+    pub high_95: f64,
+    pub n: usize,
+}
+
 const BINS: usize = 10;
 const SECTORS: usize = 8;
 /// Below it neither a test nor an interval says anything.
 const FEWEST: usize = 5;
 
-/// The analysis as JSON; what too few points leave open is null. `tail_cut` is the share of the smallest and of the
+/// The analysis. `tail_cut` is the share of the smallest and of the
 /// largest values that histograms, tests and magnitudes leave out, 0 to below 0.5.
-pub fn analyse(residuals: &[Residual], tail_cut: f64) -> Value {
+pub fn analyse(residuals: &[Residual], tail_cut: f64) -> Analysis {
     let values = |of: &dyn Fn(&Residual) -> Option<f64>| -> Vec<f64> { residuals.iter().filter_map(of).collect() };
     let n = residuals.len().max(1) as f64;
     let mean = |of: &dyn Fn(&Residual) -> f64| residuals.iter().map(of).sum::<f64>() / n;
@@ -57,23 +123,23 @@ pub fn analyse(residuals: &[Residual], tail_cut: f64) -> Value {
     let angles: Vec<f64> = directions.iter().map(|d| d[0]).collect();
     let component = |values: &[f64]| {
         let kept = without_tails(values, tail_cut);
-        json!({"histogram": histogram(&kept), "normality": normality(&kept)})
+        Component { histogram: histogram(&kept), normality: normality(&kept) }
     };
     let in_space = values(&|r| r.h_m);
-    json!({
-        "points": residuals.len(),
-        "tail_cut": tail_cut,
-        "centre": centre,
-        "easting": component(&values(&|r| Some(r.e_m))),
-        "northing": component(&values(&|r| Some(r.n_m))),
-        "height": if in_space.is_empty() { Value::Null } else { component(&in_space) },
-        "directions": {"sectors": sectors(&angles), "favoured": favoured(&angles)},
-        "correlations": {
-            "magnitude_distance_2d": correlation(&pairs_without_tails(&plan, tail_cut)),
-            "magnitude_distance_3d": correlation(&pairs_without_tails(&space, tail_cut)),
-            "direction_outward": correlation(&directions),
+    Analysis {
+        points: residuals.len(),
+        tail_cut,
+        centre,
+        easting: component(&values(&|r| Some(r.e_m))),
+        northing: component(&values(&|r| Some(r.n_m))),
+        height: (!in_space.is_empty()).then(|| component(&in_space)),
+        directions: Directions { sectors: sectors(&angles), favoured: favoured(&angles) },
+        correlations: Correlations {
+            magnitude_distance_2d: correlation(&pairs_without_tails(&plan, tail_cut)),
+            magnitude_distance_3d: correlation(&pairs_without_tails(&space, tail_cut)),
+            direction_outward: correlation(&directions),
         },
-    })
+    }
 }
 
 fn cut(len: usize, share: f64) -> usize {
@@ -95,15 +161,15 @@ fn pairs_without_tails(pairs: &[[f64; 2]], share: f64) -> Vec<[f64; 2]> {
     sorted[k..sorted.len() - k].to_vec()
 }
 
-fn histogram(sorted: &[f64]) -> Value {
-    let (Some(low), Some(high)) = (sorted.first(), sorted.last()) else { return Value::Null };
+fn histogram(sorted: &[f64]) -> Option<Histogram> {
+    let (low, high) = (*sorted.first()?, *sorted.last()?);
     let width = (high - low) / BINS as f64;
     let mut counts = [0usize; BINS];
     for value in sorted {
         let bin = if width > 0.0 { ((value - low) / width) as usize } else { 0 };
         counts[bin.min(BINS - 1)] += 1;
     }
-    json!({"from_m": low, "to_m": high, "counts": counts})
+    Some(Histogram { from_m: low, to_m: high, counts })
 }
 
 /// Standard normal distribution function; W. J. Cody's rational forms are not needed for a p-value of three digits.
@@ -116,19 +182,19 @@ fn normal_below(z: f64) -> f64 {
     if z > 0.0 { 1.0 - tail } else { tail }
 }
 
-fn normality(sorted: &[f64]) -> Value {
+fn normality(sorted: &[f64]) -> Option<Normality> {
     let n = sorted.len();
     let mean = sorted.iter().sum::<f64>() / n.max(1) as f64;
     let variance = sorted.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n.saturating_sub(1).max(1) as f64;
     if n < FEWEST || variance <= 0.0 {
-        return Value::Null;
+        return None;
     }
     let below = |i: usize| normal_below((sorted[i] - mean) / variance.sqrt()).clamp(1e-15, 1.0 - 1e-15);
     let count = n as f64;
     let sum: f64 = (0..n).map(|i| (2.0 * i as f64 + 1.0) * (below(i).ln() + (1.0 - below(n - 1 - i)).ln())).sum();
     let a2 = (-count - sum / count) * (1.0 + 0.75 / count + 2.25 / (count * count));
     if !a2.is_finite() {
-        return Value::Null;
+        return None;
     }
     let p = if a2 < 0.2 {
         1.0 - (-13.436 + 101.14 * a2 - 223.73 * a2 * a2).exp()
@@ -142,7 +208,7 @@ fn normality(sorted: &[f64]) -> Value {
         // Below 1e-23; the parabola above is for the statistics of its table, and rises again far beyond them.
         0.0
     };
-    json!({"test": "Anderson-Darling", "statistic": a2, "p_value": p.clamp(0.0, 1.0), "n": n})
+    Some(Normality { statistic: a2, p_value: p.clamp(0.0, 1.0), n })
 }
 
 /// Counts anticlockwise from east, beginning at −180°.
@@ -155,18 +221,18 @@ fn sectors(angles: &[f64]) -> [usize; SECTORS] {
     counts
 }
 
-fn favoured(angles: &[f64]) -> Value {
+fn favoured(angles: &[f64]) -> Option<Favoured> {
     let n = angles.len() as f64;
     if angles.len() < FEWEST {
-        return Value::Null;
+        return None;
     }
     let (c, s) = (angles.iter().map(|a| a.cos()).sum::<f64>(), angles.iter().map(|a| a.sin()).sum::<f64>());
     let r = c.hypot(s);
     let p = ((1.0 + 4.0 * n + 4.0 * (n * n - r * r)).sqrt() - (1.0 + 2.0 * n)).exp();
-    json!({"test": "Rayleigh", "direction_deg": s.atan2(c).to_degrees(), "share": r / n, "p_value": p.clamp(0.0, 1.0)})
+    Some(Favoured { direction_deg: s.atan2(c).to_degrees(), share: r / n, p_value: p.clamp(0.0, 1.0) })
 }
 
-fn correlation(pairs: &[[f64; 2]]) -> Value {
+fn correlation(pairs: &[[f64; 2]]) -> Option<Correlation> {
     let n = pairs.len();
     let count = n as f64;
     let mean = |i: usize| pairs.iter().map(|p| p[i]).sum::<f64>() / count;
@@ -174,11 +240,11 @@ fn correlation(pairs: &[[f64; 2]]) -> Value {
     let sum = |f: &dyn Fn(&[f64; 2]) -> f64| pairs.iter().map(f).sum::<f64>();
     let spread = (sum(&|p| (p[0] - a).powi(2)) * sum(&|p| (p[1] - b).powi(2))).sqrt();
     if n < FEWEST || spread.is_nan() || spread <= 0.0 {
-        return Value::Null;
+        return None;
     }
     let r = (sum(&|p| (p[0] - a) * (p[1] - b)) / spread).clamp(-1.0, 1.0);
     let (z, half) = (r.clamp(-1.0 + 1e-12, 1.0 - 1e-12).atanh(), 1.959_964 / (count - 3.0).sqrt());
-    json!({"r": r, "low_95": (z - half).tanh(), "high_95": (z + half).tanh(), "n": n})
+    Some(Correlation { r, low_95: (z - half).tanh(), high_95: (z + half).tanh(), n })
 }
 
 #[cfg(test)]
@@ -190,12 +256,12 @@ mod tests {
         // scipy.stats.anderson(x, "norm").statistic · (1 + 0.75/n + 2.25/n²) of quantiles at (i + ½)/20.
         let normal: Vec<f64> = (0..20).map(|i| quantile((f64::from(i) + 0.5) / 20.0)).collect();
         let exponential: Vec<f64> = (0..20).map(|i| -(1.0 - (f64::from(i) + 0.5) / 20.0_f64).ln()).collect();
-        let p = |values: &[f64]| normality(values)["p_value"].as_f64().expect("a number");
+        let p = |values: &[f64]| normality(values).expect("enough values").p_value;
         assert!(p(&normal) > 0.99, "{}", p(&normal));
         assert!(p(&exponential) < 0.05, "{}", p(&exponential));
         let outlier: Vec<f64> = (0..1500).map(|i| quantile((f64::from(i) + 0.5) / 1500.0)).chain([5000.0]).collect();
         assert_eq!(p(&outlier), 0.0);
-        assert!(normality(&[1.0; 20]).is_null() && normality(&normal[..3]).is_null());
+        assert!(normality(&[1.0; 20]).is_none() && normality(&normal[..3]).is_none());
     }
 
     fn quantile(p: f64) -> f64 {
@@ -217,11 +283,11 @@ mod tests {
             })
             .collect();
         let analysis = analyse(&radial, 0.0);
-        assert!(analysis["correlations"]["magnitude_distance_2d"]["r"].as_f64().expect("a number") > 0.9);
-        assert!(analysis["height"].is_null());
-        let counts = |a: &Value| -> u64 {
-            a["easting"]["histogram"]["counts"].as_array().expect("bins").iter().filter_map(Value::as_u64).sum()
-        };
+        assert!(analysis.correlations.magnitude_distance_2d.as_ref().expect("enough points").r > 0.9);
+        assert!(analysis.height.is_none());
+        let json = serde_json::to_string(&analysis.directions.favoured).expect("plain data");
+        assert!(json.starts_with(r#"{"test":"Rayleigh","direction_deg":"#), "{json}");
+        let counts = |a: &Analysis| -> usize { a.easting.histogram.as_ref().expect("bins").counts.iter().sum() };
         assert_eq!((counts(&analysis), counts(&analyse(&radial, 0.1))), (24, 20));
         let all: usize = sectors(&[-3.2, 3.2, 0.0, 1.0]).iter().sum();
         assert_eq!(all, 4);
@@ -231,7 +297,7 @@ mod tests {
     fn a_favoured_direction_is_seen() {
         let one: Vec<f64> = (0..20).map(|i| 0.5 + 0.01 * f64::from(i)).collect();
         let round: Vec<f64> = (0..20).map(|i| std::f64::consts::TAU * f64::from(i) / 20.0).collect();
-        let p = |angles: &[f64]| favoured(angles)["p_value"].as_f64().expect("a number");
+        let p = |angles: &[f64]| favoured(angles).expect("enough angles").p_value;
         assert!(p(&one) < 1e-6 && p(&round) > 0.9);
     }
 }

@@ -11,7 +11,6 @@ use autoref_raster::error::Error;
 use autoref_raster::memory_plan;
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::dialects;
-use autoref_stream::georef::output::Output;
 use autoref_stream::georef::write::WriteRequest;
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::MarkDetector;
@@ -21,13 +20,13 @@ use autoref_stream::pipeline::picture::unusual;
 use autoref_stream::pipeline::reasons::reasons;
 use autoref_stream::pipeline::second_pass::{SecondPass, look_closer, second_pass};
 use autoref_stream::report::Gathered;
-use autoref_stream::result::{LEAST_MISFIT_PX, RunResult, residual_rms_px};
+use autoref_stream::result::{LEAST_MISFIT_PX, RunResult, Warning, residual_rms_px};
 use clap::Args;
 
 use crate::cli::args::{GcpArgs, MarkArgs, MatchArgs, PaintArg, ReadArgs};
 use crate::cli::document::Document;
 use crate::cli::prepare::{self, Prepared, Shared};
-use crate::cli::progress::Bar;
+use crate::cli::progress::{Bar, Telling};
 use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
 use crate::cli::summary::{Detail, summary};
@@ -124,7 +123,7 @@ pub fn first_look(args: &LookArgs) -> anyhow::Result<RunResult> {
         Shared { chances: priors.len(), part: 1 },
         &args.matching.limit(),
     )?;
-    let bar = Bar::new(info, args.quiet || args.json);
+    let bar = Bar::new(info, Telling::of_flags(args.quiet, args.json));
     let refiner = detector.relaxed();
     let run = georeference(&Job {
         source: source.as_ref(),
@@ -176,7 +175,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let looks = args.looks(&detector)?;
     let time_limit = args.look.matching.limit();
     let matchers = Matchers::of(&args.look.matching, info, priors.len(), list.gcps.len(), looks, &time_limit)?;
-    let bar = Bar::new(info, args.look.quiet || args.look.json);
+    let bar = Bar::new(info, Telling::of_flags(args.look.quiet, args.look.json));
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();
     let job = Job {
@@ -216,7 +215,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let dem = args.look.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
     accuracy::state(&mut document.result, &list, &args.look.gcps.accuracy, (info.width as f64, info.height as f64));
     working_crs::deliver(&mut document.result, &list, place.size_px)?;
-    document.result.warnings.extend(plan.notes.iter().cloned());
+    document.result.warnings.extend(plan.notes.iter().cloned().map(Warning::Said));
     document.prior(info, &list);
     let report_started = Instant::now();
     let gathered = tracing::info_span!("report").in_scope(|| watch.gather(&mut document.result))?;
@@ -225,7 +224,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     // Its caches make room for what writing needs.
     drop(source);
     let report = report.as_deref().zip(gathered.as_ref());
-    write_outputs(&request, &json, report, &mut document, started, args.look.quiet || args.look.json, dem)?;
+    let telling = Telling::of_flags(args.look.quiet, args.look.json);
+    write_outputs(&request, &json, report, &mut document, started, telling, dem)?;
     print(&document.result, Printing { json: args.look.json, quiet: args.look.quiet });
     Ok(document.exit_code())
 }
@@ -314,7 +314,7 @@ fn advise(
     }
     if let Some(search) = &colours {
         result.advice.extend(search.advice(profile));
-        result.warnings.extend(search.note());
+        result.warnings.extend(search.note().map(Warning::Said));
     }
     result.colour_search = colours;
     if result.refused().is_some() {
@@ -403,16 +403,16 @@ fn write_outputs(
     report: Option<(&Path, &Gathered)>,
     document: &mut Document,
     started: Instant,
-    quiet: bool,
+    telling: Telling,
     dem: Option<solving::DemCopy>,
 ) -> anyhow::Result<()> {
     let writing = Instant::now();
     let _span = tracing::info_span!("write").entered();
     let mut transaction = Transaction::new();
     if document.result.solved().is_some() {
-        let bar = write::WarpBar::new(request.wants(Output::Warp) && !quiet);
+        let bar = write::WarpBar::new(request, telling);
         let warnings = request.stage(&document.result, &mut transaction, &|done| bar.set(done))?;
-        document.result.warnings.extend(warnings);
+        document.result.warnings.extend(warnings.into_iter().map(Warning::Said));
     }
     if let Some(dem) = dem {
         dem.stage(&document.result, &mut transaction)?;

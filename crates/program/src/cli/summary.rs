@@ -36,7 +36,7 @@ pub fn summary(result: &RunResult, detail: Detail) -> String {
     }
     let shown = if detail == Detail::Full { result.warnings.len() } else { NOTES };
     for note in result.warnings.iter().take(shown) {
-        lines.add("Note", note.clone());
+        lines.add("Note", note.to_string());
     }
     if result.warnings.len() > shown {
         lines.add(

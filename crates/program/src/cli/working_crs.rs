@@ -4,7 +4,7 @@ use autoref_raster::RasterInfo;
 use autoref_raster::crs::{Coordinate, DEFAULT_DATUM_ACCURACY_M};
 use autoref_stream::gcp::{GcpList, GcpOptions, ImageGeoreference, Reproject};
 use autoref_stream::matching::diagnosis::Mistake;
-use autoref_stream::result::RunResult;
+use autoref_stream::result::{RunResult, Warning};
 use clap::{Args, ValueEnum};
 
 use crate::cli::values::word_of;
@@ -114,6 +114,6 @@ pub fn deliver(result: &mut RunResult, list: &GcpList, size_px: Option<(f64, f64
         (row.easting, row.northing, row.height) = (point.x, point.y, point.height);
     }
     solved.geotransform = delivered.transform;
-    result.warnings.extend(delivered.notes);
+    result.warnings.extend(delivered.notes.into_iter().map(Warning::Said));
     Ok(())
 }

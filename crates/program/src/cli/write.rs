@@ -13,6 +13,8 @@ use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use crate::cli::progress::Telling;
+
 /// What is written and where.
 #[derive(Args, Debug)]
 pub struct WriteArgs {
@@ -149,9 +151,10 @@ impl WriteArgs {
 pub struct WarpBar(ProgressBar);
 
 impl WarpBar {
-    pub fn new(visible: bool) -> Self {
+    /// Shown where a warped copy is asked for.
+    pub fn new(request: &WriteRequest, telling: Telling) -> Self {
         let bar = ProgressBar::new(1000);
-        if !visible {
+        if telling == Telling::Silent || !request.wants(Output::Warp) {
             bar.set_draw_target(ProgressDrawTarget::hidden());
         }
         let style = ProgressStyle::with_template("{spinner} warping {wide_bar} {percent} %  {eta} left")

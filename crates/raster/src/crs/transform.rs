@@ -117,17 +117,13 @@ impl Crs {
         match accuracy {
             Accuracy::Metres(metres) if metres > worst_accuracy_m => {
                 let grids = self.missing_grids(around, to);
-                return Err(self.failed(
-                    to,
-                    &format!(
-                        "the best transformation that is installed is good to {metres} m only{}",
-                        and_miss(&grids)
-                    ),
-                    &format!(
-                        "install the datum grid ({}), or give the points in their own datum",
-                        how_to_install(&grids)
-                    ),
-                ));
+                let why =
+                    format!("the best transformation that is installed is good to {metres} m only{}", and_miss(&grids));
+                return Err(Error::CoarseDatum {
+                    what: self.cannot(to, &why),
+                    install: format!("install the datum grid ({})", how_to_install(&grids)),
+                    otherwise: "give the points in their own datum".into(),
+                });
             }
             _ => {}
         }
@@ -232,8 +228,12 @@ impl Crs {
     }
 
     fn failed(&self, to: &Crs, why: &str, remedy: &str) -> Error {
+        Error::usage(self.cannot(to, why), remedy)
+    }
+
+    fn cannot(&self, to: &Crs, why: &str) -> String {
         let why = why.split_whitespace().collect::<Vec<_>>().join(" ");
-        Error::usage(format!("cannot bring coordinates from {} to {}: {why}", self.title(), to.title()), remedy)
+        format!("cannot bring coordinates from {} to {}: {why}", self.title(), to.title())
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
-use autoref_flight::adjust::{AdjustOptions, Adjustment, GroundPoint, Role, RoughPose, adjust, on_ground};
+use autoref_flight::adjust::{AdjustOptions, Adjustment, GroundPoint, Role, RoughPose, TiesFrom, adjust, on_ground};
 use autoref_flight::read::tables::CameraRow;
 use autoref_flight::read::{self, Reconstruction};
 use autoref_flight::shape::ties_of_poses;
@@ -66,9 +66,8 @@ const NO_TIES: &str = "the reconstruction holds no ties: its poses say how its f
 const NOTHING_COMMON: &str = "the reconstruction holds no ties, and its frames stand at one place or see nothing in common: \
                               each is placed by its own points";
 
-/// Takes out what is said of ties, and of the lens by them, where all were made of poses.
+/// Takes out the figures of ties where all were made of poses.
 fn forget_ties(found: &mut Adjustment) {
-    found.notes.retain(|note| !note.starts_with("the lens "));
     (found.ties, found.dropped_ties) = (0, 0);
     (found.tie_rms_px, found.tie_mean_px) = (f64::NAN, f64::NAN);
     for photograph in &mut found.photographs {
@@ -225,6 +224,7 @@ pub fn run(args: &AdjustArgs) -> Result<ExitCode> {
     let options = AdjustOptions {
         sigma_image_px: args.how.sigma_image,
         sigma_tie_px,
+        ties: if has_ties { TiesFrom::Images } else { TiesFrom::Poses },
         interior,
         rough,
         ..AdjustOptions::default()

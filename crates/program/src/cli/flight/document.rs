@@ -187,13 +187,14 @@ fn blunder(b: &Blunder, name: &impl Fn(usize) -> String) -> Value {
     }
 }
 
-/// Of a frame alone: the points that it was solved from, and those that were kept out.
+/// Of a frame alone: the points that it was solved from, and those that were kept out. `more` is to be said beside what
+/// the resection itself says.
 pub fn resection(
     found: &Resection,
     name: &str,
     (seen, checks): (&[Seen], &[Seen]),
-    world: &World,
-    crs: String,
+    (world, crs): (&World, String),
+    more: Vec<String>,
 ) -> Value {
     let mut m = Map::new();
     m.insert("crs".into(), crs.into());
@@ -217,7 +218,7 @@ pub fn resection(
         json!({"name": s.name, "residual_px": r.map(|r| list(&r)), "d_px": r.map(|r| number(r[0].hypot(r[1])))})
     });
     m.insert("check_points".into(), kept_out.collect());
-    m.insert("notes".into(), notes(found).into());
+    m.insert("notes".into(), [notes(found), more].concat().into());
     Value::Object(m)
 }
 

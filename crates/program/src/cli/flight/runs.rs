@@ -1,16 +1,19 @@
 //! Flight lines of a project, which frames are compared, and what a result says of each line.
 
-use autoref_flight::adjust::RoughPose;
+use autoref_flight::adjust::{Adjustment, Role, RoughPose};
 use autoref_flight::lines::{self, Line, Sight, Station};
-use autoref_flight::read::{same_image, tables::CameraRow};
+use autoref_flight::read::{Reconstruction, same_image, tables::CameraRow};
 use autoref_flight::statistics::Residuals;
+use autoref_flight::world::World;
 use autoref_flight::{Camera, Pose};
 use autoref_raster::crs::Crs;
 use autoref_raster::words::some_of;
-use serde_json::{Value, json};
+use serde::Serialize;
 
+use super::document::in_map;
 use super::project::Project;
 use super::relative::{Flight, GroundPlane};
+use super::ties::PairTies;
 
 /// The table's row of each frame.
 pub fn rows_of<'a>(names: &[&str], rows: &'a [CameraRow]) -> Vec<Option<&'a CameraRow>> {
@@ -103,8 +106,8 @@ pub fn plan(project: &Project, names: &[&str], rows: &[CameraRow], sight: Option
 }
 
 /// A note on frames that follow each other on a line and share no ties, though the table has them see the same ground.
-/// `tied`: how many ties each pair of frames has, by names.
-pub fn untied(plan: &Plan, names: &[&str], tied: &Value) -> Option<String> {
+/// `tied`: the ties of each pair of frames.
+pub fn untied(plan: &Plan, names: &[&str], tied: &[PairTies]) -> Option<String> {
     /// Share of a frame that is enough to be matched.
     const ENOUGH: f64 = 0.3;
     let shared = |a: usize, b: usize| {
@@ -112,9 +115,8 @@ pub fn untied(plan: &Plan, names: &[&str], tied: &Value) -> Option<String> {
         at.and_then(|at| plan.shared[at]).is_some_and(|shared| shared >= ENOUGH)
     };
     let has_ties = |a: usize, b: usize| {
-        let mut all = tied.as_array().into_iter().flatten();
-        let of = |pair: &&Value| [[a, b], [b, a]].iter().any(|f| pair["frames"] == json!(f.map(|i| names[i])));
-        all.find(of).is_some_and(|pair| pair["ties"].as_u64() > Some(0))
+        let of = |pair: &&PairTies| [[a, b], [b, a]].iter().any(|f| pair.frames == f.map(|i| names[i]));
+        tied.iter().find(of).is_some_and(|pair| pair.ties > 0)
     };
     let next = plan.lines.iter().flat_map(|line| line.frames.windows(2)).filter(|two| shared(two[0], two[1]));
     let (tied, bare): (Vec<&[usize]>, Vec<&[usize]>) = next.partition(|two| has_ties(two[0], two[1]));
@@ -133,31 +135,35 @@ pub fn untied(plan: &Plan, names: &[&str], tied: &Value) -> Option<String> {
 
 /// Name, frames, and the residuals of the GCPs and check points that a line's frames show, as Table 9.1 of the thesis
 /// of 2017 has them.
-pub fn document(lines: &[Line], names: &[&str], solved: &Value) -> Value {
-    let residuals = |key: &str, frames: &[&str]| {
-        let points = solved[key].as_array().map_or(&[][..], Vec::as_slice);
-        let in_line = |p: &&Value| {
-            let images = p["images"].as_array().map_or(&[][..], Vec::as_slice);
-            images.iter().any(|i| i["frame"].as_str().is_some_and(|f| frames.contains(&f)))
-        };
-        let all: Vec<[f64; 3]> = points
-            .iter()
-            .filter(in_line)
-            .filter_map(|p| {
-                let r = p["residual_m"].as_array()?;
-                Some([r.first()?.as_f64()?, r.get(1)?.as_f64()?, r.get(2)?.as_f64()?])
-            })
-            .collect();
-        Residuals::of(&all)
+#[derive(Debug, Serialize)]
+pub struct LineResult<'a> {
+    name: &'a str,
+    frames: Vec<&'a str>,
+    gcp_statistics: Option<Residuals>,
+    check_point_statistics: Option<Residuals>,
+}
+
+/// What an adjustment leaves of each line.
+pub fn results<'a>(
+    lines: &'a [Line],
+    names: &[&'a str],
+    (found, model): (&Adjustment, &Reconstruction),
+    world: &World,
+) -> Vec<LineResult<'a>> {
+    let residuals = |role: Role, frames: &[&str]| {
+        let in_line = |i: usize| frames.contains(&model.photographs[i].name.as_str());
+        let points = found.points.iter().filter(|p| p.role == role && p.image.iter().any(|(i, _)| in_line(*i)));
+        let all = points.filter_map(|p| Some(in_map(world, &p.xyz, &p.residual?)));
+        Residuals::of(&all.filter(|r| r.iter().all(|v| v.is_finite())).collect::<Vec<_>>())
     };
-    let of = |line: &Line| {
+    let of = |line: &'a Line| {
         let frames: Vec<&str> = line.frames.iter().map(|i| names[*i]).collect();
-        json!({
-            "name": line.name,
-            "frames": frames,
-            "gcp_statistics": residuals("gcps", &frames),
-            "check_point_statistics": residuals("check_points", &frames),
-        })
+        LineResult {
+            name: &line.name,
+            gcp_statistics: residuals(Role::Control, &frames),
+            check_point_statistics: residuals(Role::Check, &frames),
+            frames,
+        }
     };
     lines.iter().map(of).collect()
 }
@@ -177,7 +183,8 @@ mod tests {
             places_m: vec![None; 4],
             azimuths_rad: vec![None; 4],
         };
-        let tied = |ab: u64, cd: u64| json!([{"frames": ["a", "b"], "ties": ab}, {"frames": ["c", "d"], "ties": cd}]);
+        let pair = |frames: [&str; 2], ties| PairTies { frames: frames.map(String::from), ties };
+        let tied = |ab, cd| [pair(["a", "b"], ab), pair(["c", "d"], cd)];
         assert_eq!(untied(&plan, &names, &tied(40, 50)), None);
         let note = untied(&plan, &names, &tied(40, 0)).expect("c and d");
         assert!(note.starts_with("1 of 2 pairs of neighbours share no ties") && note.contains("(c and d)"), "{note}");

@@ -9,7 +9,7 @@ use autoref_flight::adjust::{AdjustOptions, GroundPoint, RoughPose, adjust, on_g
 use autoref_flight::read::{Reconstruction, colmap, tables};
 use autoref_flight::world::World;
 use autoref_raster::atomic;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::engine::Program;
 use super::project::{
@@ -19,6 +19,7 @@ use super::refine::refined;
 use super::relative::{Flight, GroundPlane, MadeBy, Oriented};
 use super::stage::Stage;
 use super::stages::{self, After, Record};
+use super::ties::PairTies;
 use super::{
     camera_tables, document, footprints, frames, image_size, interior, lists, micmac, page, plausible, runs,
     stage_pages,
@@ -285,7 +286,7 @@ impl<'a> Ready<'a> {
         flight: &Flight<'_>,
         plan: &runs::Plan,
         oriented: &Oriented,
-        ties: Option<Value>,
+        ties: Option<Vec<PairTies>>,
     ) -> Result<Value> {
         let (project, record, rows) = (&self.project, &self.record, &self.frames.rows);
         let model = &oriented.model;
@@ -327,9 +328,9 @@ impl<'a> Ready<'a> {
         found.notes.extend(lost);
         let mut document = document::adjustment(&found, model, &world, self.listed, control.crs_label());
         if let Some(ties) = ties {
-            document["pairs"] = ties;
+            document["pairs"] = json!(ties);
         }
-        document["lines"] = runs::document(&plan.lines, &flight.ordered, &document);
+        document["lines"] = json!(runs::results(&plan.lines, &flight.ordered, (&found, model), &world));
         if project.rough.is_some() {
             document["rough_differences"] = footprints::rough_differences(&found, model, rows, &world);
         }
@@ -347,8 +348,8 @@ impl<'a> Ready<'a> {
 enum ByColmap {
     /// Ties were all that was asked for.
     Ends(Value),
-    /// The block, and the number of ties of each pair; `None` where frames were matched as they are.
-    Oriented(Oriented, Option<Value>),
+    /// The block, and the ties of each pair; `None` where frames were matched as they are.
+    Oriented(Oriented, Option<Vec<PairTies>>),
 }
 
 /// COLMAP's text model of a block.

@@ -18,7 +18,7 @@ use super::relative::{Flight, Matched, Oriented};
 use super::runs::Plan;
 use super::stage::Stage;
 use super::stage_pages;
-use super::ties::Ties;
+use super::ties::{PairTies, Ties};
 use super::views::Grey;
 
 /// Whether there is another stage to work.
@@ -192,8 +192,8 @@ pub fn ties(matched: &Matched, names: &[&str], size_px: [f64; 2]) -> Value {
     })
 }
 
-/// The number of matches of each pair; `None` where frames were matched as they are.
-pub fn all_matches(matched: &Matched, names: &[&str]) -> Option<Value> {
+/// The matches of each pair; `None` where frames were matched as they are.
+pub fn all_matches(matched: &Matched, names: &[&str]) -> Option<Vec<PairTies>> {
     matched.all.as_ref().map(|ties: &Ties| ties.statistics(names))
 }
 

@@ -315,6 +315,13 @@ pub fn read(folder: &Path) -> Result<Ties> {
     serde_json::from_str(&text).with_context(|| format!("{}: is broken; run with --overwrite", path.display()))
 }
 
+/// What a result says of a pair of frames: their names, and the number of their ties.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PairTies {
+    pub frames: [String; 2],
+    pub ties: usize,
+}
+
 impl Ties {
     pub fn count(&self) -> usize {
         self.pairs.iter().map(|p| p.ties.len()).sum()
@@ -342,10 +349,10 @@ impl Ties {
         Ties { places, pairs: Vec::new() }.verified(database, names)
     }
 
-    /// For the result: names of the frames and number of ties, pair by pair.
-    pub fn statistics(&self, names: &[&str]) -> serde_json::Value {
-        let pair =
-            |p: &Pair| serde_json::json!({"frames": [names[p.frames.0], names[p.frames.1]], "ties": p.ties.len()});
+    /// For the result.
+    pub fn statistics(&self, names: &[&str]) -> Vec<PairTies> {
+        let name = |frame: usize| names[frame].to_string();
+        let pair = |p: &Pair| PairTies { frames: [name(p.frames.0), name(p.frames.1)], ties: p.ties.len() };
         self.pairs.iter().map(pair).collect()
     }
 
