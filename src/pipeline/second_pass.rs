@@ -249,6 +249,8 @@ pub(super) fn strongest<'a>(marks: impl Iterator<Item = &'a Candidate>) -> Vec<P
 
 /// A profile of those positions that stand out enough to teach; `None` when none does.
 pub(super) fn taught(source: &dyn RasterSource, positions: &[PixelPoint]) -> Result<Option<Profile>> {
+    /// No mark that nobody pointed at scores less: bare ground beside a speck does.
+    const LEAST_SCORE: f64 = -12.0;
     let bounds = source.info().bounds();
     let mut marks: Vec<(Patch, PixelPoint)> = Vec::new();
     for &at in positions {
@@ -262,7 +264,11 @@ pub(super) fn taught(source: &dyn RasterSource, positions: &[PixelPoint]) -> Res
             marks.push(mark);
         }
     }
-    Ok(learn("second pass", &marks).ok())
+    let mut taught = learn("second pass", &marks).ok();
+    if let Some(profile) = &mut taught {
+        profile.examine.min_score = profile.examine.min_score.max(LEAST_SCORE);
+    }
+    Ok(taught)
 }
 
 #[cfg(test)]

@@ -306,7 +306,7 @@ fn planar_matrix(marks: &[Observation], kind: planar::Kind) -> Option<[f64; 9]> 
             survey_sigma_m: None,
         })
         .collect();
-    let h = planar::fit(&pairs, kind).ok()?.matrix();
+    let h = planar::fit(&pairs, kind, planar::Weighting::Equal).ok()?.matrix();
     let last = h[(2, 2)];
     (last.abs() > 1e-12).then(|| std::array::from_fn(|k| h[(k / 3, k % 3)] / last))
 }

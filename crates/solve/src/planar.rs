@@ -4,13 +4,14 @@
 //! images that are no orthophotos, and say so when the points do not support them: few points, points near a line, or a
 //! leave-one-out error that is no better than the similarity's.
 //!
-//! Least squares of the residuals on the map, every point alike. The affine transform is linear; the projective one
-//! starts from the linear solution on normalised coordinates (R. Hartley, A. Zisserman, "Multiple View Geometry in
+//! Least squares of the residuals on the map, every point alike or by what is stated of it ([`Weighting`]). The affine
+//! transform is linear; the projective one starts from the linear solution on normalised coordinates (R. Hartley, A. Zisserman, "Multiple View Geometry in
 //! Computer Vision", 2nd edition, 2003, section 4.4) and is refined by Gauss–Newton steps.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::similarity::{self, Pair, Unsolvable};
+use super::weights;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 
 /// Which transform.
@@ -31,6 +32,10 @@ impl Kind {
         }
     }
 
+    fn parameters(self) -> usize {
+        2 * self.fewest_points()
+    }
+
     fn label(self) -> &'static str {
         match self {
             Kind::Affine => "affine",
@@ -39,10 +44,22 @@ impl Kind {
     }
 }
 
+/// What points weigh in a fit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Weighting {
+    /// Every point alike.
+    Equal,
+    /// By the stated variances of centre and survey and a common part that the residuals show, as in the similarity's
+    /// adjustment.
+    Stated,
+}
+
 /// A fitted transform.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanarFit {
     pub kind: Kind,
+    /// Of the pairs, of mean 1.
+    pub weights: Vec<f64>,
     /// Residuals (easting, northing), surveyed − computed, metres, in the order of the pairs.
     pub residuals_m: Vec<[f64; 2]>,
     /// √(mean(dE² + dN²)), divisor n, metres.
@@ -101,23 +118,43 @@ impl Transform {
     }
 }
 
-/// Fits `kind` to `pairs` with equal weights.
+/// Fits `kind` to `pairs`.
 ///
 /// # Errors
 /// [`Unsolvable::TooFewPoints`] below [`Kind::fewest_points`]; [`Unsolvable::Degenerate`] when the points do not
 /// determine it (on one line; for the projective also three of four on a line) or put one of themselves beyond its
 /// horizon.
-pub fn fit(pairs: &[Pair], kind: Kind) -> Result<PlanarFit, Unsolvable> {
-    let transform = solve(pairs, kind)?;
-    let residuals_m = pairs
-        .iter()
-        .map(|pair| residual(&transform, pair).ok_or(Unsolvable::Degenerate))
-        .collect::<Result<Vec<_>, _>>()?;
+pub fn fit(pairs: &[Pair], kind: Kind, weighting: Weighting) -> Result<PlanarFit, Unsolvable> {
+    let equal = vec![1.0; pairs.len()];
+    let first = solve(pairs, &equal, kind)?;
+    let weights = match weighting {
+        Weighting::Equal => equal,
+        Weighting::Stated => stated_weights(pairs, kind, &first)?,
+    };
+    let transform = if weights.iter().all(|w| *w == 1.0) { first } else { solve(pairs, &weights, kind)? };
+    let residuals_m = residuals(&transform, pairs)?;
     let rmse_m = rms(&residuals_m);
-    let leave_one_out_m = leave_one_out(pairs, |others| solve(others, kind).ok(), residual);
+    let without = |i: usize, others: &[Pair]| {
+        let weights = [&weights[..i], &weights[i + 1..]].concat();
+        solve(others, &weights, kind).ok()
+    };
+    let leave_one_out_m = leave_one_out(pairs, without, residual);
     let leave_one_out_rmse_m = leave_one_out_m.as_deref().map(rms);
     let warnings = warnings(pairs, kind, leave_one_out_rmse_m);
-    Ok(PlanarFit { kind, residuals_m, rmse_m, leave_one_out_rmse_m, leave_one_out_m, warnings, transform })
+    Ok(PlanarFit { kind, weights, residuals_m, rmse_m, leave_one_out_rmse_m, leave_one_out_m, warnings, transform })
+}
+
+/// Weights from the residuals of `equal`, the fit in which every point counts alike.
+fn stated_weights(pairs: &[Pair], kind: Kind, equal: &Transform) -> Result<Vec<f64>, Unsolvable> {
+    let squares: Vec<f64> = residuals(equal, pairs)?.iter().map(|r| r[0] * r[0] + r[1] * r[1]).collect();
+    let h = &equal.h;
+    let area = (h[(0, 0)] * h[(1, 1)] - h[(0, 1)] * h[(1, 0)]).abs();
+    let scale = equal.map_unit / equal.pixel_unit * area.sqrt();
+    Ok(weights::of_residuals(pairs, scale, kind.parameters(), || squares))
+}
+
+fn residuals(transform: &Transform, pairs: &[Pair]) -> Result<Vec<[f64; 2]>, Unsolvable> {
+    pairs.iter().map(|pair| residual(transform, pair).ok_or(Unsolvable::Degenerate)).collect()
 }
 
 fn residual(transform: &Transform, pair: &Pair) -> Option<[f64; 2]> {
@@ -131,30 +168,31 @@ fn rms(residuals: &[[f64; 2]]) -> f64 {
 /// Every point against the fit to the others.
 fn leave_one_out<T>(
     pairs: &[Pair],
-    solve: impl Fn(&[Pair]) -> Option<T>,
+    solve: impl Fn(usize, &[Pair]) -> Option<T>,
     residual: impl Fn(&T, &Pair) -> Option<[f64; 2]>,
 ) -> Option<Vec<[f64; 2]>> {
     (0..pairs.len())
         .map(|i| {
             let others: Vec<Pair> = [&pairs[..i], &pairs[i + 1..]].concat();
-            residual(&solve(&others)?, &pairs[i])
+            residual(&solve(i, &others)?, &pairs[i])
         })
         .collect()
 }
 
-/// A pair about the centroids, in units of the spread: (u, v) image, (e, n) map.
+/// A pair about the centroids, in units of the spread: (u, v) image, (e, n) map; and the root of its weight.
 struct Local {
     u: f64,
     v: f64,
     e: f64,
     n: f64,
+    root: f64,
 }
 
-fn solve(pairs: &[Pair], kind: Kind) -> Result<Transform, Unsolvable> {
+fn solve(pairs: &[Pair], weights: &[f64], kind: Kind) -> Result<Transform, Unsolvable> {
     if pairs.len() < kind.fewest_points() {
         return Err(Unsolvable::TooFewPoints);
     }
-    let (mut transform, local) = normalise(pairs).ok_or(Unsolvable::Degenerate)?;
+    let (mut transform, local) = normalise(pairs, weights).ok_or(Unsolvable::Degenerate)?;
     let affine = affine(&local)?;
     transform.h = match kind {
         Kind::Affine => affine,
@@ -167,7 +205,7 @@ fn solve(pairs: &[Pair], kind: Kind) -> Result<Transform, Unsolvable> {
     Ok(transform)
 }
 
-fn normalise(pairs: &[Pair]) -> Option<(Transform, Vec<Local>)> {
+fn normalise(pairs: &[Pair], weights: &[f64]) -> Option<(Transform, Vec<Local>)> {
     let n = pairs.len() as f64;
     let (p0, m0) = (pairs[0].pixel, pairs[0].map);
     let mean = |f: &dyn Fn(&Pair) -> f64| pairs.iter().map(f).sum::<f64>() / n;
@@ -185,11 +223,13 @@ fn normalise(pairs: &[Pair]) -> Option<(Transform, Vec<Local>)> {
     }
     let local = pairs
         .iter()
-        .map(|p| Local {
+        .zip(weights)
+        .map(|(p, weight)| Local {
             u: (p.pixel.x - pixel_centre.x) / pixel_unit,
             v: (p.pixel.y - pixel_centre.y) / pixel_unit,
             e: (p.map.easting - map_centre.easting) / map_unit,
             n: (p.map.northing - map_centre.northing) / map_unit,
+            root: weight.sqrt(),
         })
         .collect();
     Some((Transform { h: Matrix3::identity(), pixel_centre, pixel_unit, map_centre, map_unit }, local))
@@ -206,15 +246,15 @@ fn least_squares(design: DMatrix<f64>, right: &DVector<f64>) -> Result<DVector<f
 }
 
 fn affine(local: &[Local]) -> Result<Matrix3<f64>, Unsolvable> {
-    let design = DMatrix::from_fn(local.len(), 3, |i, c| [local[i].u, local[i].v, 1.0][c]);
+    let design = DMatrix::from_fn(local.len(), 3, |i, c| local[i].root * [local[i].u, local[i].v, 1.0][c]);
     let solved = |right: DVector<f64>| {
         let first = least_squares(design.clone(), &right)?;
         // The singular value decomposition leaves some thousand units in the last place; a second step takes them away.
         let rest = &right - &design * &first;
         Ok(&first + least_squares(design.clone(), &rest)?)
     };
-    let e = solved(DVector::from_fn(local.len(), |i, _| local[i].e))?;
-    let n = solved(DVector::from_fn(local.len(), |i, _| local[i].n))?;
+    let e = solved(DVector::from_fn(local.len(), |i, _| local[i].root * local[i].e))?;
+    let n = solved(DVector::from_fn(local.len(), |i, _| local[i].root * local[i].n))?;
     Ok(Matrix3::new(e[0], e[1], e[2], n[0], n[1], n[2], 0.0, 0.0, 1.0))
 }
 
@@ -225,18 +265,21 @@ fn homography(h: &DVector<f64>) -> Matrix3<f64> {
 /// The linear solution: the equations multiplied by the denominator, whose last coefficient is 1.
 fn projective(local: &[Local]) -> Result<Matrix3<f64>, Unsolvable> {
     let design = DMatrix::from_fn(2 * local.len(), 8, |row, c| {
-        let Local { u, v, e, n } = local[row / 2];
-        match row % 2 {
-            0 => [u, v, 1.0, 0.0, 0.0, 0.0, -u * e, -v * e][c],
-            _ => [0.0, 0.0, 0.0, u, v, 1.0, -u * n, -v * n][c],
-        }
+        let Local { u, v, e, n, root } = local[row / 2];
+        let terms = match row % 2 {
+            0 => [u, v, 1.0, 0.0, 0.0, 0.0, -u * e, -v * e],
+            _ => [0.0, 0.0, 0.0, u, v, 1.0, -u * n, -v * n],
+        };
+        root * terms[c]
     });
-    let right =
-        DVector::from_fn(2 * local.len(), |row, _| if row % 2 == 0 { local[row / 2].e } else { local[row / 2].n });
+    let right = DVector::from_fn(2 * local.len(), |row, _| {
+        let p = &local[row / 2];
+        p.root * if row % 2 == 0 { p.e } else { p.n }
+    });
     Ok(homography(&least_squares(design, &right)?))
 }
 
-/// Misfits on the map, or `None` when a point lies beyond the horizon.
+/// Weighted misfits on the map, or `None` when a point lies beyond the horizon.
 fn misfits(local: &[Local], h: &Matrix3<f64>) -> Option<DVector<f64>> {
     let mut all = DVector::zeros(2 * local.len());
     for (i, p) in local.iter().enumerate() {
@@ -244,8 +287,8 @@ fn misfits(local: &[Local], h: &Matrix3<f64>) -> Option<DVector<f64>> {
         if v.z <= 1e-9 {
             return None;
         }
-        all[2 * i] = p.e - v.x / v.z;
-        all[2 * i + 1] = p.n - v.y / v.z;
+        all[2 * i] = p.root * (p.e - v.x / v.z);
+        all[2 * i + 1] = p.root * (p.n - v.y / v.z);
     }
     Some(all)
 }
@@ -259,10 +302,11 @@ fn refine(local: &[Local], start: Matrix3<f64>) -> Result<Matrix3<f64>, Unsolvab
             let p = &local[row / 2];
             let v = h * Vector3::new(p.u, p.v, 1.0);
             let (first, second) = (p.u / v.z, p.v / v.z);
-            match row % 2 {
-                0 => [first, second, 1.0 / v.z, 0.0, 0.0, 0.0, -first * v.x / v.z, -second * v.x / v.z][c],
-                _ => [0.0, 0.0, 0.0, first, second, 1.0 / v.z, -first * v.y / v.z, -second * v.y / v.z][c],
-            }
+            let terms = match row % 2 {
+                0 => [first, second, 1.0 / v.z, 0.0, 0.0, 0.0, -first * v.x / v.z, -second * v.x / v.z],
+                _ => [0.0, 0.0, 0.0, first, second, 1.0 / v.z, -first * v.y / v.z, -second * v.y / v.z],
+            };
+            p.root * terms[c]
         });
         let step = least_squares(design, &misfit)?;
         let mut next = homography(&step);
@@ -291,10 +335,14 @@ fn warnings(pairs: &[Pair], kind: Kind, own: Option<f64>) -> Vec<String> {
     } else if points < 2 * fewest {
         warnings.push(format!("only {points} points: {} or more would support the {} fit", 2 * fewest, kind.label()));
     }
-    let similarity = leave_one_out(pairs, similarity::fit_equal_weights, |s, pair| {
-        let c = s.apply(pair.pixel);
-        Some([pair.map.easting - c.easting, pair.map.northing - c.northing])
-    });
+    let similarity = leave_one_out(
+        pairs,
+        |_, others| similarity::fit_equal_weights(others),
+        |s, pair| {
+            let c = s.apply(pair.pixel);
+            Some([pair.map.easting - c.easting, pair.map.northing - c.northing])
+        },
+    );
     match (own, similarity.as_deref().map(rms)) {
         (Some(own), Some(simple)) if own >= simple => warnings.push(format!(
             "the points do not support the {} fit: left-out points are missed by {own:.4} m, by {simple:.4} m with a similarity",
@@ -339,7 +387,7 @@ mod tests {
     fn exact_points_are_reproduced_by_the_transform_and_by_its_matrix() {
         let sheared = |x: f64, y: f64| (0.03 * x + 0.002 * y, -0.028 * y + 0.001 * x);
         for (kind, pairs) in [(Kind::Affine, pairs(9, 0.0, sheared)), (Kind::Projective, pairs(9, 0.0, oblique))] {
-            let fit = fit(&pairs, kind).expect("well determined");
+            let fit = fit(&pairs, kind, Weighting::Equal).expect("well determined");
             assert!(fit.rmse_m < 1e-6, "{kind:?}: {}", fit.rmse_m);
             assert!(fit.leave_one_out_rmse_m.is_some_and(|e| e < 1e-6));
             assert!(fit.warnings.is_empty(), "{:?}", fit.warnings);
@@ -351,7 +399,7 @@ mod tests {
     #[test]
     fn the_refined_projective_fit_is_a_minimum() {
         let pairs = pairs(12, 0.2, oblique);
-        let fit = fit(&pairs, Kind::Projective).expect("well determined");
+        let fit = fit(&pairs, Kind::Projective, Weighting::Equal).expect("well determined");
         for (row, column) in (0..3).flat_map(|r| (0..3).map(move |c| (r, c))).filter(|at| *at != (2, 2)) {
             for sign in [-1.0, 1.0] {
                 let mut other = fit.transform;
@@ -367,7 +415,7 @@ mod tests {
     fn an_orthophoto_with_noise_supports_neither_and_says_so() {
         let pairs = pairs(7, 0.05, |x, y| (0.03 * x, -0.03 * y));
         for kind in [Kind::Affine, Kind::Projective] {
-            let fit = fit(&pairs, kind).expect("well determined");
+            let fit = fit(&pairs, kind, Weighting::Equal).expect("well determined");
             assert!(fit.warnings.iter().any(|w| w.contains("do not support")), "{kind:?}: {:?}", fit.warnings);
         }
     }
@@ -375,13 +423,13 @@ mod tests {
     #[test]
     fn too_few_and_collinear_points_are_refused() {
         let all = pairs(9, 0.0, oblique);
-        assert_eq!(fit(&all[..2], Kind::Affine).err(), Some(Unsolvable::TooFewPoints));
-        assert_eq!(fit(&all[..3], Kind::Projective).err(), Some(Unsolvable::TooFewPoints));
-        assert!(!fit(&all[..3], Kind::Affine).expect("three points are enough").warnings.is_empty());
+        assert_eq!(fit(&all[..2], Kind::Affine, Weighting::Equal).err(), Some(Unsolvable::TooFewPoints));
+        assert_eq!(fit(&all[..3], Kind::Projective, Weighting::Equal).err(), Some(Unsolvable::TooFewPoints));
+        assert!(!fit(&all[..3], Kind::Affine, Weighting::Equal).expect("three points are enough").warnings.is_empty());
         let line: Vec<Pair> =
             all.iter().map(|p| Pair { pixel: PixelPoint { x: p.pixel.x, y: 2.0 * p.pixel.x }, ..*p }).collect();
         for kind in [Kind::Affine, Kind::Projective] {
-            assert_eq!(fit(&line, kind).err(), Some(Unsolvable::Degenerate), "{kind:?}");
+            assert_eq!(fit(&line, kind, Weighting::Equal).err(), Some(Unsolvable::Degenerate), "{kind:?}");
         }
     }
 }

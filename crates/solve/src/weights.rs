@@ -41,14 +41,29 @@ pub(crate) fn prior_variances(pairs: &[Pair], scale: f64) -> Vec<f64> {
 
 /// Weights of mean 1; `equal` is the fit with equal weights.
 pub(crate) fn of_pairs(pairs: &[Pair], equal: &Similarity) -> Vec<f64> {
-    let stated = stated(pairs, equal.scale_m_per_px());
-    let freedom = 2 * pairs.len() as i64 - 4;
+    let square = |pair: &Pair| {
+        let (e, n) = residual(equal, pair);
+        e * e + n * n
+    };
+    of_residuals(pairs, equal.scale_m_per_px(), 4, || pairs.iter().map(square).collect())
+}
+
+/// Weights of mean 1 from the squared residuals, m², of a fit of some transform with equal weights, of so many
+/// parameters; `scale` is the ground size of a pixel, metres.
+pub(crate) fn of_residuals(
+    pairs: &[Pair],
+    scale: f64,
+    parameters: usize,
+    squares: impl FnOnce() -> Vec<f64>,
+) -> Vec<f64> {
+    let stated = stated(pairs, scale);
+    let freedom = 2 * pairs.len() as i64 - parameters as i64;
     if freedom <= 0 || stated.iter().all(|s| *s == stated[0]) {
         return vec![1.0; pairs.len()];
     }
-    let squares: Vec<f64> = pairs.iter().map(|pair| residual(equal, pair)).map(|(e, n)| e * e + n * n).collect();
-    let floor = (LEAST_SIGMA_PX * equal.scale_m_per_px()).powi(2);
-    // Four parameters swallow part of the residuals.
+    let squares = squares();
+    let floor = (LEAST_SIGMA_PX * scale).powi(2);
+    // The parameters swallow part of the residuals.
     let swallowed = 2.0 * pairs.len() as f64 / freedom as f64;
     let mut best = (f64::NEG_INFINITY, Vec::new());
     for (share, odds) in SHARES {

@@ -36,19 +36,20 @@ const Planar = (() => {
     return turns[0].map((_, i) => sum(along.map((v, k) => v * turns[k][i])));
   }
 
-  function normalise(pairs) {
+  // Centroids count every point alike; `root` is the root of a weight.
+  function normalise(pairs, weights) {
     const n = pairs.length, first = pairs[0], mean = (f) => sum(pairs.map(f)) / n;
     const x = first.x + mean((p) => p.x - first.x), y = first.y + mean((p) => p.y - first.y);
     const e = first.e + mean((p) => p.e - first.e), north = first.n + mean((p) => p.n - first.n);
     const pixel = Math.sqrt(mean((p) => (p.x - x) ** 2 + (p.y - y) ** 2)), map = Math.sqrt(mean((p) => (p.e - e) ** 2 + (p.n - north) ** 2));
     if (!(pixel > 0 && Number.isFinite(pixel) && map > 0 && Number.isFinite(map))) return null;
     return { x, y, e, n: north, pixel, map,
-      local: pairs.map((p) => ({ u: (p.x - x) / pixel, v: (p.y - y) / pixel, e: (p.e - e) / map, n: (p.n - north) / map })) };
+      local: pairs.map((p, i) => ({ u: (p.x - x) / pixel, v: (p.y - y) / pixel, e: (p.e - e) / map, n: (p.n - north) / map, root: Math.sqrt(weights[i]) })) };
   }
 
   function affine(local) {
-    const design = () => [local.map((p) => p.u), local.map((p) => p.v), local.map(() => 1)];
-    const e = leastSquares(design(), local.map((p) => p.e)), n = leastSquares(design(), local.map((p) => p.n));
+    const design = () => [local.map((p) => p.root * p.u), local.map((p) => p.root * p.v), local.map((p) => p.root)];
+    const e = leastSquares(design(), local.map((p) => p.root * p.e)), n = leastSquares(design(), local.map((p) => p.root * p.n));
     return e && n && [...e, ...n, 0, 0, 1];
   }
 
@@ -56,8 +57,9 @@ const Planar = (() => {
   const columnsOf = (rows) => rows[0].map((_, k) => rows.map((row) => row[k]));
 
   function projective(local) {
-    const rows = local.flatMap(({ u, v, e, n }) => [[u, v, 1, 0, 0, 0, -u * e, -v * e], [0, 0, 0, u, v, 1, -u * n, -v * n]]);
-    const h = leastSquares(columnsOf(rows), local.flatMap((p) => [p.e, p.n]));
+    const rows = local.flatMap(({ u, v, e, n, root }) =>
+      [[u, v, 1, 0, 0, 0, -u * e, -v * e], [0, 0, 0, u, v, 1, -u * n, -v * n]].map((row) => row.map((term) => root * term)));
+    const h = leastSquares(columnsOf(rows), local.flatMap((p) => [p.root * p.e, p.root * p.n]));
     return h && [...h, 1];
   }
   function misfits(local, h) {
@@ -65,7 +67,7 @@ const Planar = (() => {
     for (const p of local) {
       const v = image(h, p.u, p.v);
       if (v[2] <= 1e-9) return null;
-      all.push(p.e - v[0] / v[2], p.n - v[1] / v[2]);
+      all.push(p.root * (p.e - v[0] / v[2]), p.root * (p.n - v[1] / v[2]));
     }
     return all;
   }
@@ -74,9 +76,10 @@ const Planar = (() => {
     let h = start, misfit = misfits(local, h);
     if (!misfit) return null;
     for (let round = 0; round < 30; round++) {
-      const rows = local.flatMap(({ u, v }) => {
+      const rows = local.flatMap(({ u, v, root }) => {
         const w = image(h, u, v), a = u / w[2], b = v / w[2];
-        return [[a, b, 1 / w[2], 0, 0, 0, -a * w[0] / w[2], -b * w[0] / w[2]], [0, 0, 0, a, b, 1 / w[2], -a * w[1] / w[2], -b * w[1] / w[2]]];
+        return [[a, b, 1 / w[2], 0, 0, 0, -a * w[0] / w[2], -b * w[0] / w[2]], [0, 0, 0, a, b, 1 / w[2], -a * w[1] / w[2], -b * w[1] / w[2]]]
+          .map((row) => row.map((term) => root * term));
       });
       const step = leastSquares(columnsOf(rows), misfit);
       if (!step) return null;
@@ -89,10 +92,11 @@ const Planar = (() => {
     return h;
   }
 
-  // A function from pixels to the map, null beyond the horizon; null itself when the points do not determine it.
-  function transform(pairs, kind) {
+  // A function from pixels to the map, null beyond the horizon, with the ground size of a pixel in the middle; null itself
+  // when the points do not determine it.
+  function transform(pairs, weights, kind) {
     if (pairs.length < fewest[kind]) return null;
-    const to = normalise(pairs);
+    const to = normalise(pairs, weights);
     if (!to) return null;
     let h = affine(to.local);
     if (h && kind === "projective") {
@@ -102,10 +106,11 @@ const Planar = (() => {
     if (!h) return null;
     const [a, b, c, d, e, f, g, i, j] = h;
     if (Math.abs(a * (e * j - f * i) - b * (d * j - f * g) + c * (d * i - e * g)) < RANK * RANK) return null;
-    return (x, y) => {
+    const apply = (x, y) => {
       const v = image(h, (x - to.x) / to.pixel, (y - to.y) / to.pixel);
       return v[2] > 0 ? [to.e + to.map * v[0] / v[2], to.n + to.map * v[1] / v[2]] : null;
     };
+    return { apply, scale: to.map / to.pixel * Math.sqrt(Math.abs(a * e - b * d)) };
   }
 
   const residual = (apply, pair) => {
@@ -116,18 +121,33 @@ const Planar = (() => {
 
   // `pairs` as Fit.solve takes them. Null when the points do not determine the transform.
   function fit(pairs, kind) {
-    const apply = transform(pairs, kind), residuals = apply && pairs.map((p) => residual(apply, p));
-    if (!residuals || residuals.includes(null)) return null;
+    const through = (weights) => {
+      const found = transform(pairs, weights, kind), residuals = found && pairs.map((p) => residual(found.apply, p));
+      return residuals && !residuals.includes(null) ? { ...found, residuals } : null;
+    };
+    const equal = pairs.map(() => 1), first = through(equal);
+    if (!first) return null;
+    const squares = () => first.residuals.map((r) => r[0] * r[0] + r[1] * r[1]);
+    const weights = Fit.weightsFrom(pairs, first.scale, 2 * fewest[kind], squares);
+    const found = weights.every((w) => w === 1) ? first : through(weights);
+    if (!found) return null;
+    const { apply, residuals } = found;
     const others = pairs.map((p, i) => {
-      const without = transform(pairs.filter((_, k) => k !== i), kind);
-      return without && residual(without, p);
+      const rest = (values) => values.filter((_, k) => k !== i), without = transform(rest(pairs), rest(weights), kind);
+      return without && residual(without.apply, p);
     });
     const leftOut = others.includes(null) ? null : others, axis = (k) => Math.sqrt(sum(residuals.map((r) => r[k] * r[k])) / residuals.length);
     const origin = apply(0, 0), right = apply(ARM, 0), down = apply(0, ARM);
     const geotransform = kind === "affine"
       ? [origin[0], (right[0] - origin[0]) / ARM, (down[0] - origin[0]) / ARM, origin[1], (right[1] - origin[1]) / ARM, (down[1] - origin[1]) / ARM] : null;
-    return { kind, apply, residuals, rmse: rms(residuals), rmseE: axis(0), rmseN: axis(1), leftOut, leftOutRmse: leftOut && rms(leftOut), geotransform };
+    return { kind, apply, weights, residuals, rmse: rms(residuals), rmseE: axis(0), rmseN: axis(1), leftOut, leftOutRmse: leftOut && rms(leftOut), geotransform };
   }
 
-  return { fit };
+  // Standard deviation of a coordinate of unit weight; 0 when nothing is left over.
+  function sigma0(fit) {
+    const freedom = 2 * fit.residuals.length - 2 * fewest[fit.kind];
+    return freedom > 0 ? Math.sqrt(sum(fit.residuals.map((r, k) => fit.weights[k] * (r[0] * r[0] + r[1] * r[1]))) / freedom) : 0;
+  }
+
+  return { fit, sigma0 };
 })();

@@ -61,14 +61,23 @@ const Fit = (() => {
 
   // As crates/solve/src/weights.rs has it.
   function weightsOf(pairs, equal) {
-    const scale = scaleOf(equal), freedom = 2 * pairs.length - 4;
+    const square = (pair) => {
+      const [e, n] = residual(equal, pair);
+      return e * e + n * n;
+    };
+    return weightsFrom(pairs, scaleOf(equal), 4, () => pairs.map(square));
+  }
+
+  // Weights of mean 1 from the squared residuals of a fit with equal weights, of so many parameters.
+  function weightsFrom(pairs, scale, parameters, squaresOf) {
+    const freedom = 2 * pairs.length - parameters;
     const stated = pairs.map((pair) => ({
       centre: pair.covariance ? (pair.covariance[0] + pair.covariance[2]) / 2 * scale * scale : 0,
       survey: pair.sigma === null ? 0 : pair.sigma * pair.sigma,
     }));
     const same = (s) => s.centre === stated[0].centre && s.survey === stated[0].survey;
     if (freedom <= 0 || stated.every(same)) return pairs.map(() => 1);
-    const squares = pairs.map((pair) => residual(equal, pair)).map(([e, n]) => e * e + n * n);
+    const squares = squaresOf();
     const floor = LEAST_SIGMA_PX * scale * (LEAST_SIGMA_PX * scale), swallowed = 2 * pairs.length / freedom;
     let most = -Infinity, best = null;
     for (const [share, odds] of [[1, 0.8], [0.1, 0.1], [0.01, 0.1]]) {
@@ -178,5 +187,5 @@ const Fit = (() => {
     };
   }
 
-  return { solve, apply, invert, geotransform, radius95 };
+  return { solve, apply, invert, geotransform, radius95, weightsFrom };
 })();

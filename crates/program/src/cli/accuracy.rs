@@ -2,12 +2,14 @@
 
 use std::path::PathBuf;
 
+use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_raster::error::Error;
-use autoref_solve::accuracy::{self, CheckError, CornerError, StatementOptions};
+use autoref_solve::accuracy::{self, CheckError, CornerError, ErrorModel, StatementOptions};
+use autoref_solve::{Pair, planar};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::{GcpList, GcpRole};
 use autoref_stream::pipeline::reasons::Reason;
-use autoref_stream::result::{ChosenModel, Misfit, RunResult, SolvedRun, Warning};
+use autoref_stream::result::{ChosenModel, MatchRow, Misfit, RunResult, SolvedRun, Warning};
 use clap::Args;
 
 /// Survey errors and the statement.
@@ -72,7 +74,11 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
     let mut statement = accuracy::statement(&checks, &leave_one_out, &options);
     statement.reservations.extend(untested(solved, list));
     solved.accuracy = Some(statement);
-    solved.expected_errors = accuracy::error_map::corners(solution, size_px);
+    let errors = match &solved.chosen_model {
+        Some(ChosenModel::Affine(_)) => of_affine(&solved.matches),
+        _ => ErrorModel::new(solution),
+    };
+    solved.expected_errors = errors.map_or_else(Vec::new, |errors| errors.corners(&solution.similarity, size_px));
     let misfit = Misfit::of(result);
     if let (Some(misfit), Some(solved)) = (&misfit, result.solved_mut()) {
         let scale_m_per_px = solved.fit.scale_m_per_px;
@@ -94,6 +100,19 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
         (_, misfit) => misfit.map(|misfit| misfit.note()),
     };
     result.warnings.extend(note.map(Warning::Said));
+}
+
+/// What the affine transform through these marks says of its errors.
+fn of_affine(rows: &[MatchRow]) -> Option<ErrorModel> {
+    let pair = |row: &MatchRow| Pair {
+        pixel: PixelPoint { x: row.x, y: row.y },
+        covariance_px2: row.covariance_px2,
+        map: MapPoint { easting: row.easting, northing: row.northing },
+        survey_sigma_m: row.survey_sigma_m,
+    };
+    let pairs: Vec<Pair> = rows.iter().map(pair).collect();
+    let fit = planar::fit(&pairs, planar::Kind::Affine, planar::Weighting::Stated).ok()?;
+    ErrorModel::of_affine(&fit, &pairs)
 }
 
 /// Check points that lie in the image and are in no figure: a test is as good as what it leaves out.

@@ -237,7 +237,7 @@ fn compare(rows: &[Row]) -> Vec<Compared> {
         out.push(entry(Space::Plane, solver.solver().name(), PIXELS, &names, &level, solved));
     }
     for (kind, name) in [(planar::Kind::Affine, "Affine"), (planar::Kind::Projective, "Projective")] {
-        out.push(match planar::fit(&pairs, kind) {
+        out.push(match planar::fit(&pairs, kind, planar::Weighting::Equal) {
             Ok(fit) => {
                 let residuals: Vec<[Option<f64>; 3]> =
                     fit.residuals_m.iter().map(|r| [Some(r[0]), Some(r[1]), None]).collect();

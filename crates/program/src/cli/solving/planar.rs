@@ -25,7 +25,7 @@ pub(super) fn pairs(orientation: &Orientation, list: &GcpList) -> Vec<Pair> {
 
 /// An affine transform takes the similarity's place in the outputs; a projective one is reported.
 pub(super) fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar::Kind) {
-    let fit = match planar::fit(pairs, kind) {
+    let fit = match planar::fit(pairs, kind, planar::Weighting::Stated) {
         Ok(fit) => fit,
         Err(why) => {
             result.warn(format!("{} points do not support this --model ({why}); the similarity is used", pairs.len()));
@@ -56,8 +56,7 @@ pub(super) fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar:
     let (Some(origin), Some(right), Some(down)) = (at(0.0, 0.0), at(ARM, 0.0), at(0.0, ARM)) else { return };
     let transform = GeoTransform::through(origin, right, down, (ARM, ARM));
     enter_planar(result, transform, &fit.residuals_m, fit.leave_one_out_m.as_deref());
-    result
-        .warn("the affine transform is written; expected errors, redundancy and outliers are those of the similarity");
+    result.warn("the affine transform is written; redundancy and outliers are those of the similarity");
 }
 
 /// The similarity by another solver than the weighted one takes its place in the outputs. Every point counts alike.
