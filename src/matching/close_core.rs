@@ -14,8 +14,8 @@ use autoref_solve::variance_ratio::chance_of_share;
 
 /// Marks agree too closely for chance when it would produce less than one such core in so many patterns.
 const CORE_LOG10: f64 = -4.0;
-/// The mean square of a core's distances from its middle, as a part of the whole pattern's; a cluster says nothing of an
-/// image that is bent.
+/// The mean square of a core's distances from its middle, as a part of the whole pattern's; a cluster says nothing of
+/// an image that is bent.
 const LEAST_EXTENT: f64 = 0.4;
 /// Marks do not agree more closely.
 const LEAST_OFF_PX: f64 = 0.1;
@@ -95,8 +95,8 @@ fn is_moved_part(similarity: &Similarity, marks: &[Pair], stays: &[bool]) -> boo
     offs.len() > 1 && unlike_px <= BESIDE_PX.max(ALIKE * mean[0].hypot(mean[1]))
 }
 
-/// The most marks that two of them, taken as exact, put within [`CLOSEST_PX`] of where they are, or what its spread makes
-/// of that; of as many, those that agree best.
+/// The most marks that two of them, taken as exact, put within [`CLOSEST_PX`] of where they are, or what its spread
+/// makes of that; of as many, those that agree best.
 fn told_by_pairs(marks: &[Pair]) -> Option<Vec<bool>> {
     let pairs = marks.len() * (marks.len() - 1) / 2;
     let all = (0..marks.len()).flat_map(|i| (i + 1..marks.len()).map(move |j| (i, j)));

@@ -5,8 +5,9 @@
 //! leave-one-out error that is no better than the similarity's.
 //!
 //! Least squares of the residuals on the map, every point alike or by what is stated of it ([`Weighting`]). The affine
-//! transform is linear; the projective one starts from the linear solution on normalised coordinates (R. Hartley, A. Zisserman, "Multiple View Geometry in
-//! Computer Vision", 2nd edition, 2003, section 4.4) and is refined by Gauss–Newton steps.
+//! transform is linear; the projective one starts from the linear solution on normalised coordinates (R. Hartley, A.
+//! Zisserman, "Multiple View Geometry in Computer Vision", 2nd edition, 2003, section 4.4) and is refined by
+//! Gauss–Newton steps.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 

@@ -4,8 +4,8 @@
 /// even number) go into more parameters, or leave with points that are not fitted any more, and `freedom` degrees of
 /// freedom are left (an even number).
 ///
-/// With σ of a coordinate unknown, x = S₁/S₀ of two nested fits has the distribution of F; with ν degrees of freedom and
-/// k further coordinates p = x^(ν/2) · Σ (ν/2)ᵢ (1 − x)ⁱ / i! over i < k/2 (M. Abramowitz, I. Stegun, "Handbook of
+/// With σ of a coordinate unknown, x = S₁/S₀ of two nested fits has the distribution of F; with ν degrees of freedom
+/// and k further coordinates p = x^(ν/2) · Σ (ν/2)ᵢ (1 − x)ⁱ / i! over i < k/2 (M. Abramowitz, I. Stegun, "Handbook of
 /// mathematical functions", 1964, 26.6.4).
 pub fn chance_of_share(share: f64, freedom: usize, further: usize) -> f64 {
     let (share, half) = (share.clamp(0.0, 1.0), freedom as f64 / 2.0);
