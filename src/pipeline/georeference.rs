@@ -36,11 +36,25 @@ pub struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Of the image.
-    fn middle(&self) -> Option<PixelPoint> {
+    fn beside(&self) -> Beside {
         let info = self.source.info();
-        Some(PixelPoint { x: info.width as f64 / 2.0, y: info.height as f64 / 2.0 })
+        match self.refine {
+            Refine::Always => Beside::LeaveTheFit {
+                middle: Some(PixelPoint { x: info.width as f64 / 2.0, y: info.height as f64 / 2.0 }),
+            },
+            Refine::Never => Beside::Stay,
+        }
     }
+}
+
+/// What becomes of marks beside their points when the others agree closely.
+#[derive(Clone, Copy)]
+enum Beside {
+    LeaveTheFit {
+        /// Of the image, where it is known.
+        middle: Option<PixelPoint>,
+    },
+    Stay,
 }
 
 /// Whether points are looked for again where they must be.
@@ -131,7 +145,7 @@ pub(super) fn match_and_orient(job: &Job<'_>, scan: ScanOutcome) -> Result<Run> 
             Outcome::Refused(evidence)
         }
         MatchOutcome::Solved(solved) => {
-            orient((job.gcps, &scan.candidates), *solved, job.middle(), |expected, taken| match job.refine {
+            orient((job.gcps, &scan.candidates), *solved, job.beside(), |expected, taken| match job.refine {
                 Refine::Always => rematch(job.source, job.refiner, &scan.candidates, taken, expected),
                 Refine::Never => Ok(unrefined(job, (&scan.candidates, taken), expected)),
             })?
@@ -179,7 +193,7 @@ pub(super) fn orient_again(
     evidence: Solved,
     taught: &dyn Detector,
 ) -> Result<Outcome> {
-    orient((job.gcps, candidates), evidence, job.middle(), |expected, taken| {
+    orient((job.gcps, candidates), evidence, job.beside(), |expected, taken| {
         let mut answers = rematch(job.source, job.refiner, candidates, taken, expected)?;
         let missing: Vec<usize> = (0..expected.len()).filter(|&i| matches!(answers[i], Refinement::NotFound)).collect();
         let asked: Vec<Expected> = missing.iter().map(|&i| expected[i]).collect();
@@ -216,18 +230,20 @@ pub fn solve_candidates(
     let middle = priors.image_size_px.map(|(width, height)| PixelPoint { x: width / 2.0, y: height / 2.0 });
     match matcher.find(candidates, gcps, &priors.with_mark_sizes(candidates)) {
         MatchOutcome::NoMatch(evidence) => Ok(Outcome::Refused(evidence)),
-        MatchOutcome::Solved(solved) => orient((gcps, candidates), *solved, middle, |expected, taken| {
-            let inside = |p: PixelPoint| priors.image_size_px.is_none_or(|size_px| is_inside(p, size_px));
-            let free = Free::among(candidates, taken);
-            Ok(expected
-                .iter()
-                .map(|e| match free.nearest(e) {
-                    Some(candidate) => Refinement::Kept { candidate },
-                    None if inside(e.position) => Refinement::NotFound,
-                    None => Refinement::Outside,
-                })
-                .collect())
-        }),
+        MatchOutcome::Solved(solved) => {
+            orient((gcps, candidates), *solved, Beside::LeaveTheFit { middle }, |expected, taken| {
+                let inside = |p: PixelPoint| priors.image_size_px.is_none_or(|size_px| is_inside(p, size_px));
+                let free = Free::among(candidates, taken);
+                Ok(expected
+                    .iter()
+                    .map(|e| match free.nearest(e) {
+                        Some(candidate) => Refinement::Kept { candidate },
+                        None if inside(e.position) => Refinement::NotFound,
+                        None => Refinement::Outside,
+                    })
+                    .collect())
+            })
+        }
     }
 }
 
@@ -243,11 +259,10 @@ struct Marks {
 /// Looks where GCPs must be.
 type Look<'a> = &'a dyn Fn(&[Expected], &[Candidate]) -> Result<Vec<Refinement>>;
 
-/// `middle` is that of the image, where it is known.
 fn orient(
     (gcps, candidates): (&[Gcp], &[Candidate]),
     evidence: Solved,
-    middle: Option<PixelPoint>,
+    beside: Beside,
     look: impl Fn(&[Expected], &[Candidate]) -> Result<Vec<Refinement>>,
 ) -> Result<Outcome> {
     let matched = evidence
@@ -262,7 +277,9 @@ fn orient(
     };
     let mirrored = evidence.pattern.similarity.mirrored;
     // What stands beside its point may hide the mark that it should be, and has made room for others like it.
-    if let Some(stays) = close_core(&pairs(gcps, &found.control), mirrored, middle) {
+    if let Beside::LeaveTheFit { middle } = beside
+        && let Some(stays) = close_core(&pairs(gcps, &found.control), mirrored, middle)
+    {
         let core: Vec<FoundMark> =
             found.control.iter().zip(&stays).filter(|(_, stays)| **stays).map(|(mark, _)| mark.clone()).collect();
         let noise_px = noise_px.min(rms_px(&pairs(gcps, &core), mirrored).unwrap_or(noise_px));
