@@ -2,6 +2,7 @@
 //! mark be, and which paint stands out? Nothing here needs an image but the last question, which needs an old one.
 
 pub mod ambiguity;
+mod loss;
 mod moves;
 pub(crate) mod paint;
 mod strength;
