@@ -36,7 +36,7 @@ pub struct SelftestArgs {
     /// for as `--paint` of the main job does.
     #[arg(long, value_name = "COLOUR", help_heading = "Planted marks")]
     pub paint: Option<Paint>,
-    /// Square, disc, cross, checker or cross-plate. Default: the profile's, a square when it takes any.
+    /// Square, disc, cross, checker, cross-plate or hourglass. Default: the profile's, a square when it takes any.
     #[arg(long, value_name = "SHAPE", value_parser = shape, help_heading = "Planted marks")]
     pub shape: Option<Shape>,
     /// Standard deviation of the blur, in pixels.
@@ -67,7 +67,7 @@ pub struct SelftestArgs {
 }
 
 fn shape(text: &str) -> Result<Shape, String> {
-    let wrong = || format!("no shape is called `{text}`; use square, disc, cross, checker or cross-plate");
+    let wrong = || format!("no shape is called `{text}`; use square, disc, cross, checker, cross-plate or hourglass");
     let shape = serde_json::from_value(serde_json::Value::String(text.to_lowercase())).map_err(|_| wrong())?;
     if shape == Shape::Bar { Err(wrong()) } else { Ok(shape) }
 }
