@@ -144,13 +144,24 @@ fn conditions(args: &SelftestArgs, marks: &MarkArgs) -> anyhow::Result<Cell> {
     }
     let shape = args.shape.unwrap_or(match profile.shape {
         profile::Shape::Disc => Shape::Disc,
+        // The cross of a profile without a colour is looked for on a plate.
+        profile::Shape::Cross if profile.is_target() => Shape::CrossPlate,
         profile::Shape::Cross => Shape::Cross,
-        profile::Shape::Checker | profile::Shape::Hourglass => Shape::Checker,
+        profile::Shape::Checker => Shape::Checker,
+        profile::Shape::Hourglass => Shape::Hourglass,
         profile::Shape::Any | profile::Shape::Square | profile::Shape::Tag => Shape::Square,
     });
+    let dark = Cell::base().second;
+    let (paint, second) = match (profile.is_target(), shape) {
+        (false, _) => (profile.fresh_paint(), dark),
+        // Plate and cross. Checkers and hourglasses are their own negatives, turned by 90 degrees.
+        (true, Shape::CrossPlate) => (dark, Paint::WHITE.0),
+        (true, _) => (Paint::WHITE.0, dark),
+    };
     Ok(Cell {
         label: profile.name.clone(),
-        paint: args.paint.map_or_else(|| profile.fresh_paint(), |paint| paint.0),
+        paint: args.paint.map_or(paint, |paint| paint.0),
+        second,
         disc: shape == Shape::Disc,
         figure: (!matches!(shape, Shape::Square | Shape::Disc)).then_some(shape),
         blur_px: args.blur,
