@@ -2,6 +2,7 @@
 //! mark be, and which paint stands out? Nothing here needs an image but the last question, which needs an old one.
 
 pub mod ambiguity;
+mod loss;
 mod moves;
 pub(crate) mod paint;
 mod strength;
@@ -35,7 +36,8 @@ pub const TYPICAL_NOISE_PX: f64 = 1.5;
 pub struct PlanRequest {
     /// How many marks may be lost: hidden, driven over, outside.
     pub lose: usize,
-    /// Ground size of a pixel, metres: smallest and largest.
+    /// Ground size of a pixel, metres: smallest and largest. Lengths in pixels are reckoned with their middle, which is
+    /// the given value where one was given with a tolerance.
     pub gsd_m: Option<(f64, f64)>,
     /// The image's top will point north within so many degrees.
     pub north_up_deg: Option<f64>,
@@ -87,7 +89,7 @@ pub struct Plan {
 /// Looks at the pattern of `points` (name, place; projected metres).
 pub fn plan(points: &[(String, MapPoint)], request: &PlanRequest) -> Plan {
     let places: Vec<MapPoint> = points.iter().map(|p| p.1).collect();
-    let gsd = request.gsd_m.map(|(low, high)| (low * high).sqrt());
+    let gsd = request.gsd_m.map(|(low, high)| (low + high) / 2.0);
     let tolerance_m = request
         .tolerance_m
         .or(gsd.map(|g| TOLERANCE_PX * g))
@@ -196,6 +198,21 @@ fn advice(points: &[(String, MapPoint)], plan: &Plan) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_ground_size_given_with_a_tolerance_is_taken_as_it_is() {
+        let points: Vec<_> = [(0.0, 0.0), (40.0, 3.0), (37.0, 61.0), (9.0, 55.0), (21.0, 30.0)]
+            .into_iter()
+            .enumerate()
+            .map(|(i, (easting, northing))| (format!("P{i}"), MapPoint { easting, northing }))
+            .collect();
+        let plan = plan(&points, &PlanRequest { gsd_m: Some((0.027, 0.033)), ..PlanRequest::default() });
+        let mark = plan.mark.expect("a ground size");
+        assert!((mark.gsd_m - 0.03).abs() < 1e-12 && (mark.smallest_m - 0.18).abs() < 1e-12, "{mark:?}");
+        assert!((plan.tolerance_m - 0.36).abs() < 1e-12, "{}", plan.tolerance_m);
+        let noise_m = plan.strength.and_then(|s| s.noise_m).expect("a ground size");
+        assert!((noise_m - 0.045).abs() < 1e-12, "{noise_m}");
+    }
 
     #[test]
     fn an_empty_or_tiny_plan_is_answered() {

@@ -5,6 +5,8 @@ use serde::Serialize;
 
 use autoref_raster::coords::MapPoint;
 
+use super::loss::worst_loss;
+
 /// √(−2 ln 0.05): the Rayleigh distribution's 95 % in standard deviations.
 const RADIUS_95: f64 = 2.447_747;
 /// Baarda's √λ₀ for a significance of 0.1 % and a power of 80 %.
@@ -62,7 +64,7 @@ pub fn strength(points: &[(String, MapPoint)], lose: usize, noise_m: Option<f64>
     .map(|(direction, easting, northing)| {
         let corner = MapPoint { easting, northing };
         let all = cofactor(&places, corner).unwrap_or(f64::INFINITY).sqrt();
-        let left = after_loss(&places, corner, lose).sqrt();
+        let left = worst_loss(&places, corner, lose).sqrt();
         let metres = |factor: f64| noise_m.map(|s| RADIUS_95 * s * factor).filter(|v| v.is_finite());
         CornerStrength {
             direction,
@@ -85,7 +87,7 @@ pub fn strength(points: &[(String, MapPoint)], lose: usize, noise_m: Option<f64>
 }
 
 /// Variance of a coordinate of the transform at `at`, over that of one point: 1/n + d²/Σd².
-fn cofactor(places: &[MapPoint], at: MapPoint) -> Option<f64> {
+pub(super) fn cofactor(places: &[MapPoint], at: MapPoint) -> Option<f64> {
     let n = places.len() as f64;
     // About the first point, so that coordinates of millions of metres lose no digits.
     let first = places.first()?;
@@ -94,26 +96,6 @@ fn cofactor(places: &[MapPoint], at: MapPoint) -> Option<f64> {
     let square = |p: &MapPoint| (offset(p).0 - e).powi(2) + (offset(p).1 - m).powi(2);
     let spread: f64 = places.iter().map(square).sum();
     (places.len() >= 2 && spread > 0.0).then(|| 1.0 / n + square(&at) / spread)
-}
-
-/// The cofactor when those points are gone that are missed most, one after the other.
-fn after_loss(places: &[MapPoint], at: MapPoint, lose: usize) -> f64 {
-    let mut left = places.to_vec();
-    let mut worst = cofactor(&left, at).unwrap_or(f64::INFINITY);
-    for _ in 0..lose.min(places.len().saturating_sub(2)) {
-        let without = |i: usize| {
-            let mut fewer = left.clone();
-            fewer.remove(i);
-            cofactor(&fewer, at).unwrap_or(f64::INFINITY)
-        };
-        let (i, value) = (0..left.len())
-            .map(|i| (i, without(i)))
-            .max_by(|a, b| a.1.total_cmp(&b.1))
-            .expect("two points or more are left");
-        left.remove(i);
-        worst = value;
-    }
-    worst
 }
 
 fn advice(places: &[MapPoint], corners: &[CornerStrength], weakest: (&str, f64)) -> Vec<String> {

@@ -29,6 +29,7 @@ pub mod rng;
 mod scene;
 mod shape;
 mod spec;
+mod triangles;
 mod truth;
 mod write;
 

@@ -1,13 +1,15 @@
 //! How much of each pixel a mark covers, exactly enough that the centroid of the picture is the stated centre.
 //!
 //! A camera blurs with something close to an isotropic Gaussian and integrates over square pixels. All angular shapes
-//! here are sums of rectangles in the mark's own frame, where the Gaussian still is separable, so the blurred shape is
-//! a sum of products of error functions; the pixel's square is integrated by Gauss–Legendre quadrature, which converges
+//! here but the hourglass are sums of rectangles in the mark's own frame, where the Gaussian still is separable, so the
+//! blurred shape is a sum of products of error functions; the hourglass's triangles are summed along one axis by
+//! Gauss–Legendre quadrature. The pixel's square is integrated by Gauss–Legendre quadrature, which converges
 //! fast on so smooth a function. Without blur the pixel coverage is the exact area of a clipped polygon. A disc goes
 //! through a radial profile tabulated once per size.
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
+use super::triangles::Triangles;
 use serde::{Deserialize, Serialize};
 
 /// What a mark looks like from above. "Size" is the side of the bounding square in the mark's own frame, or the
@@ -20,10 +22,13 @@ pub enum Shape {
     Disc,
     /// Two painted bars, each a quarter of the size wide.
     Cross,
-    /// Two opposite quadrants in the second colour on a square in the first (also called hourglass).
+    /// Two opposite quadrants in the second colour on a square in the first.
     Checker,
     /// A plate in the first colour with a cross in the second, its bars an eighth of the size wide.
     CrossPlate,
+    /// A plate in the first colour with two triangles in the second: tip to tip in its centre, 90° at the tips, their
+    /// bases two opposite sides of the plate.
+    Hourglass,
     /// A bar twice as long as wide; only clutter looks like this.
     Bar,
 }
@@ -33,7 +38,7 @@ const NO_BLUR_PX: f64 = 0.05;
 
 /// erf by A. Abramowitz and I. Stegun (Handbook of Mathematical Functions, 1964), 7.1.26; |error| ≤ 1.5e-7, odd by
 /// construction, so that it shifts no centroid.
-fn erf(x: f64) -> f64 {
+pub(crate) fn erf(x: f64) -> f64 {
     let a = x.abs();
     if a > 4.5 {
         return x.signum();
@@ -62,6 +67,8 @@ pub(crate) struct Figure {
     all: Vec<Rect>,
     /// Those in the second colour; part of `all`.
     second: Vec<Rect>,
+    /// What else is in the second colour.
+    triangles: Option<Triangles>,
     /// For a disc: radius and blurred profile.
     disc: Option<(f64, Profile)>,
     /// Half the size.
@@ -86,12 +93,14 @@ impl Figure {
             Shape::Cross => (bars(h / 4.0), vec![]),
             Shape::Checker => (vec![[-h, h, -h, h]], vec![[-h, 0.0, -h, 0.0], [0.0, h, 0.0, h]]),
             Shape::CrossPlate => (vec![[-h, h, -h, h]], bars(h / 8.0)),
+            Shape::Hourglass => (vec![[-h, h, -h, h]], vec![]),
             Shape::Disc => (vec![], vec![]),
         };
         let disc = (shape == Shape::Disc).then(|| (h, Profile::of_disc(h, sigma)));
+        let triangles = (shape == Shape::Hourglass).then_some(Triangles { height: h });
         let corner = if shape == Shape::Disc { h } else { h * std::f64::consts::SQRT_2 };
         let (sin, cos) = rotation_rad.sin_cos();
-        Figure { cos, sin, sigma, all, second, disc, half: h, reach: corner + 5.0 * sigma + 1.0 }
+        Figure { cos, sin, sigma, all, second, triangles, disc, half: h, reach: corner + 5.0 * sigma + 1.0 }
     }
 
     /// Nothing is covered further than this from the centre, in pixels.
@@ -159,7 +168,9 @@ impl Figure {
         let k = FRAC_1_SQRT_2 / self.sigma;
         let side = |low: f64, high: f64, t: f64| 0.5 * (erf((high - t) * k) - erf((low - t) * k));
         let sum = |rects: &[Rect]| rects.iter().map(|r| side(r[0], r[1], u) * side(r[2], r[3], v)).sum();
-        (sum(&self.all), sum(&self.second))
+        let all: f64 = sum(&self.all);
+        let triangles = self.triangles.map_or(0.0, |t| t.blurred(u, v, self.sigma, all));
+        (all, sum(&self.second) + triangles)
     }
 
     /// Exact areas of the unblurred figure in a pixel.
@@ -172,21 +183,18 @@ impl Figure {
             });
             return (clipped_area(polygon.collect()), 0.0);
         }
+        let corner = |(u, v): (f64, f64)| (self.cos * u - self.sin * v - dx, self.sin * u + self.cos * v - dy);
+        let area = |corners: &[(f64, f64)]| clipped_area(corners.iter().map(|&c| corner(c)).collect());
         let sum = |rects: &[Rect]| -> f64 {
-            rects
-                .iter()
-                .map(|&[u0, u1, v0, v1]| {
-                    let corner = |u: f64, v: f64| (self.cos * u - self.sin * v - dx, self.sin * u + self.cos * v - dy);
-                    clipped_area(vec![corner(u0, v0), corner(u1, v0), corner(u1, v1), corner(u0, v1)])
-                })
-                .sum()
+            rects.iter().map(|&[u0, u1, v0, v1]| area(&[(u0, v0), (u1, v0), (u1, v1), (u0, v1)])).sum()
         };
-        (sum(&self.all), sum(&self.second))
+        let triangles: f64 = self.triangles.map_or(0.0, |t| t.corners().iter().map(|c| area(c)).sum());
+        (sum(&self.all), sum(&self.second) + triangles)
     }
 }
 
 /// Nodes and weights of the four-point Gauss–Legendre rule on [0, 1].
-const GAUSS: [(f64, f64); 4] = [
+pub(crate) const GAUSS: [(f64, f64); 4] = [
     (0.069_431_844_202_973_71, 0.173_927_422_568_726_9),
     (0.330_009_478_207_571_9, 0.326_072_577_431_273_1),
     (0.669_990_521_792_428_1, 0.326_072_577_431_273_1),
@@ -266,7 +274,8 @@ impl Profile {
 mod tests {
     use super::*;
 
-    const ALL: [Shape; 6] = [Shape::Square, Shape::Disc, Shape::Cross, Shape::Checker, Shape::CrossPlate, Shape::Bar];
+    const ALL: [Shape; 7] =
+        [Shape::Square, Shape::Disc, Shape::Cross, Shape::Checker, Shape::CrossPlate, Shape::Hourglass, Shape::Bar];
 
     fn moments(figure: &Figure, cx: f64, cy: f64, n: i32) -> (f64, f64, f64, f64) {
         let (mut a, mut sx, mut sy, mut second) = (0.0, 0.0, 0.0, 0.0);
@@ -293,7 +302,7 @@ mod tests {
                 let (area, x, y, second) = moments(&figure, cx, cy, 40);
                 let s2 = size * size;
                 let expected = match shape {
-                    Shape::Square | Shape::Checker | Shape::CrossPlate => s2,
+                    Shape::Square | Shape::Checker | Shape::CrossPlate | Shape::Hourglass => s2,
                     Shape::Bar => s2 / 2.0,
                     Shape::Disc => s2 * PI / 4.0,
                     Shape::Cross => s2 * (0.5 - 0.0625),
@@ -304,7 +313,7 @@ mod tests {
                 assert!(off < tolerance, "{shape:?} {size} {blur}: {x} {y}");
                 assert!((area / expected - 1.0).abs() < 2e-4, "{shape:?} {size} {blur}: {area} for {expected}");
                 let share = match shape {
-                    Shape::Checker => 0.5,
+                    Shape::Checker | Shape::Hourglass => 0.5,
                     Shape::CrossPlate => 0.25 - 0.015_625,
                     _ => 0.0,
                 };

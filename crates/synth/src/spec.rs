@@ -63,7 +63,7 @@ pub struct MarkStyle {
     pub shape: Shape,
     /// Each mark takes one of them. Never empty.
     pub paints: Vec<Paint>,
-    /// Of the checker's quadrants and the plate's cross.
+    /// Of the checker's quadrants, the plate's cross and the hourglass's triangles.
     pub second_paint: Paint,
     /// σ of the Gaussian that stands for the camera's optics and the resampling of the mosaic.
     pub blur_px: f64,

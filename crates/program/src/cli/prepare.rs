@@ -62,7 +62,7 @@ pub fn open(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -
     let source = source.map_err(|error| of_a_list(image, error))?;
     let source = raster::with_white(source, read.white)?;
     let info = source.info();
-    let gsd_m = gsd.map(|g| (g.0 * g.1).sqrt()).or_else(|| known_gsd(info));
+    let gsd_m = gsd.map(Gsd::middle_m).or_else(|| known_gsd(info));
     let detector = MarkDetector::with_colours(profile, colours?, info, gsd_m)?;
     let options = PlanOptions {
         tile_px: read.tile,

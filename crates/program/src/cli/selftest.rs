@@ -36,7 +36,7 @@ pub struct SelftestArgs {
     /// for as `--paint` of the main job does.
     #[arg(long, value_name = "COLOUR", help_heading = "Planted marks")]
     pub paint: Option<Paint>,
-    /// Square, disc, cross, checker or cross-plate. Default: the profile's, a square when it takes any.
+    /// Square, disc, cross, checker, cross-plate or hourglass. Default: the profile's, a square when it takes any.
     #[arg(long, value_name = "SHAPE", value_parser = shape, help_heading = "Planted marks")]
     pub shape: Option<Shape>,
     /// Standard deviation of the blur, in pixels.
@@ -67,7 +67,7 @@ pub struct SelftestArgs {
 }
 
 fn shape(text: &str) -> Result<Shape, String> {
-    let wrong = || format!("no shape is called `{text}`; use square, disc, cross, checker or cross-plate");
+    let wrong = || format!("no shape is called `{text}`; use square, disc, cross, checker, cross-plate or hourglass");
     let shape = serde_json::from_value(serde_json::Value::String(text.to_lowercase())).map_err(|_| wrong())?;
     if shape == Shape::Bar { Err(wrong()) } else { Ok(shape) }
 }
@@ -77,7 +77,7 @@ pub fn run(args: &SelftestArgs) -> anyhow::Result<ExitCode> {
     let conditions = conditions(args, &marks)?;
     let prepared = prepare::open(&args.image, &args.read, &marks, args.gsd)?;
     let info = prepared.source.info().clone();
-    let range_px = Profile::load(&marks.profile)?.side_range_px(args.gsd.map(|gsd| (gsd.0 * gsd.1).sqrt()))?;
+    let range_px = Profile::load(&marks.profile)?.side_range_px(args.gsd.map(Gsd::middle_m))?;
     let sizes_px = sizes(args, range_px)?;
     let bar = Bar::new(&info, Telling::of_flags(args.quiet, args.json));
     // What is above the smallest budget is shared with tiles and cache.
@@ -110,7 +110,7 @@ pub fn run(args: &SelftestArgs) -> anyhow::Result<ExitCode> {
         });
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else if !args.quiet {
-        print!("{}", words(&result, args.gsd.map(|g| (g.0 * g.1).sqrt())));
+        print!("{}", words(&result, args.gsd.map(Gsd::middle_m)));
     }
     Ok(if result.advice.is_some() { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
@@ -144,13 +144,24 @@ fn conditions(args: &SelftestArgs, marks: &MarkArgs) -> anyhow::Result<Cell> {
     }
     let shape = args.shape.unwrap_or(match profile.shape {
         profile::Shape::Disc => Shape::Disc,
+        // The cross of a profile without a colour is looked for on a plate.
+        profile::Shape::Cross if profile.is_target() => Shape::CrossPlate,
         profile::Shape::Cross => Shape::Cross,
-        profile::Shape::Checker | profile::Shape::Hourglass => Shape::Checker,
+        profile::Shape::Checker => Shape::Checker,
+        profile::Shape::Hourglass => Shape::Hourglass,
         profile::Shape::Any | profile::Shape::Square | profile::Shape::Tag => Shape::Square,
     });
+    let dark = Cell::base().second;
+    let (paint, second) = match (profile.is_target(), shape) {
+        (false, _) => (profile.fresh_paint(), dark),
+        // Plate and cross. Checkers and hourglasses are their own negatives, turned by 90 degrees.
+        (true, Shape::CrossPlate) => (dark, Paint::WHITE.0),
+        (true, _) => (Paint::WHITE.0, dark),
+    };
     Ok(Cell {
         label: profile.name.clone(),
-        paint: args.paint.map_or_else(|| profile.fresh_paint(), |paint| paint.0),
+        paint: args.paint.map_or(paint, |paint| paint.0),
+        second,
         disc: shape == Shape::Disc,
         figure: (!matches!(shape, Shape::Square | Shape::Disc)).then_some(shape),
         blur_px: args.blur,

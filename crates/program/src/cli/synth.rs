@@ -93,10 +93,11 @@ pub struct SynthArgs {
     #[arg(long, value_enum, default_value_t = ShapeArg::Square, help_heading = "Marks")]
     pub shape: ShapeArg,
     /// Paints the marks take at random: orange, orange-faded, pink, green, yellow, blue, white, black, red or #rrggbb.
-    /// Default: orange; checkers white, cross plates black.
+    /// Default: orange; checkers white, cross plates and the plates of hourglasses black.
     #[arg(long, value_name = "A,B,…", value_delimiter = ',', help_heading = "Marks")]
     pub paint: Vec<Paint>,
-    /// Second colour of checkers and cross plates. Default: black for checkers, white for cross plates.
+    /// Second colour of checkers, cross plates and hourglasses (their triangles). Default: black for checkers, white
+    /// for the others.
     #[arg(long, value_name = "PAINT", help_heading = "Marks")]
     pub second_paint: Option<Paint>,
     /// σ of the Gaussian blur, in pixels.
@@ -200,6 +201,7 @@ pub enum ShapeArg {
     Cross,
     Checker,
     CrossPlate,
+    Hourglass,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -368,6 +370,7 @@ fn mark_of(args: &SynthArgs) -> MarkStyle {
         ShapeArg::Cross => (Shape::Cross, Paint::ORANGE, Paint::BLACK),
         ShapeArg::Checker => (Shape::Checker, Paint::WHITE, Paint::BLACK),
         ShapeArg::CrossPlate => (Shape::CrossPlate, Paint::BLACK, Paint::WHITE),
+        ShapeArg::Hourglass => (Shape::Hourglass, Paint::BLACK, Paint::WHITE),
     };
     MarkStyle {
         size: args.mark_size,

@@ -52,6 +52,13 @@ pub fn memory_budget(text: &str) -> Result<Bytes, String> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gsd(pub f64, pub f64);
 
+impl Gsd {
+    /// What lengths in pixels are reckoned with: the middle of the range, which is the given value where one was given.
+    pub fn middle_m(self) -> f64 {
+        (self.0 + self.1) / 2.0
+    }
+}
+
 impl FromStr for Gsd {
     type Err = String;
     fn from_str(text: &str) -> Result<Self, String> {

@@ -69,7 +69,7 @@ const RULES: [(&str, &str, Needs); 51] = [
     ("synth", "tiles", NoWord("strips", &[])),
     ("synth", "quality", Word("compress", &["jpeg"])),
     ("synth", "predictor", Word("compress", &["deflate", "lzw", "zstd"])),
-    ("synth", "second_paint", Word("shape", &["checker", "cross-plate"])),
+    ("synth", "second_paint", Word("shape", &["checker", "cross-plate", "hourglass"])),
     ("synth", "turn", NoWord("shape", &["disc"])),
     ("synth", "epsg", GivenOneOf(&["write_gcps", "georeferenced"])),
     ("synth-flight", "film_um", Given("film")),
