@@ -44,10 +44,19 @@ fn log10_by_chance((core, close): (&Similarity, &[Pair]), loose: &[Pair]) -> Opt
     Some(log10_choose(loose.len(), close.len()) + chance.log10())
 }
 
+/// What a core tells of all marks.
+#[derive(Debug, PartialEq)]
+pub(crate) struct CloseCore {
+    /// Of each mark, whether it does not stand beside its point.
+    pub stays: Vec<bool>,
+    /// 1σ of a coordinate within the core.
+    pub noise_px: f64,
+}
+
 /// Which marks do not stand beside their points, when most agree so closely that chance is no reason and neither is an
 /// image that is stretched or bent about its `middle`; `None` when there is nothing of the kind. A mark that states
 /// itself to be unsure is not asked.
-pub(crate) fn close_core(marks: &[Pair], handedness: Handedness, middle: Option<PixelPoint>) -> Option<Vec<bool>> {
+pub(crate) fn close_core(marks: &[Pair], handedness: Handedness, middle: Option<PixelPoint>) -> Option<CloseCore> {
     if marks.len() <= FEWEST_IN_CORE {
         return None;
     }
@@ -76,7 +85,8 @@ pub(crate) fn close_core(marks: &[Pair], handedness: Handedness, middle: Option<
         return None;
     }
     let is_chance = log10_by_chance((&similarity, &core), &asked)? > CORE_LOG10;
-    (!is_chance && departure(&marks, middle).is_none()).then_some(stays)
+    let noise_px = root_mean_square(&similarity, &core);
+    (!is_chance && departure(&marks, middle).is_none()).then_some(CloseCore { stays, noise_px })
 }
 
 /// Whether the marks that do not stay are all off one way, as a part of the image is beyond a seam: they are where it
@@ -179,14 +189,17 @@ mod tests {
                 let old = if beside(i) { 6.0 + 9.0 * noise.unit() } else { 0.0 };
                 [old * turn.cos() + 0.1 * noise.normal(), old * turn.sin() + 0.1 * noise.normal()]
             });
-            let Some(stays) = close_core(&drawn, Handedness::AsIs, MIDDLE) else { continue };
+            let Some(core) = close_core(&drawn, Handedness::AsIs, MIDDLE) else { continue };
+            let CloseCore { stays, noise_px } = core;
+            assert!(noise_px < 0.3, "{noise_px}");
             assert!(stays.iter().enumerate().all(|(i, stays)| *stays != beside(i)), "{seed}: {stays:?}");
             told += 1;
             let turned: Vec<Pair> = drawn
                 .iter()
                 .map(|mark| Pair { pixel: PixelPoint { x: 4000.0 - mark.pixel.x, ..mark.pixel }, ..*mark })
                 .collect();
-            assert_eq!(close_core(&turned, Handedness::Mirrored, MIDDLE), Some(stays), "{seed}");
+            let mirrored = close_core(&turned, Handedness::Mirrored, MIDDLE);
+            assert_eq!(mirrored.map(|core| core.stays), Some(stays), "{seed}");
         }
         assert!(told >= 80, "{told} of 100: some cores are clusters, some old marks lie alike");
     }
@@ -222,7 +235,7 @@ mod tests {
     fn an_unsure_mark_is_not_asked() {
         let mut random = SplitMix64(4);
         let mut drawn = marks(8, &mut random, |i, _| if i == 2 { [7.0, -3.0] } else { [0.02 * i as f64, 0.0] });
-        assert_eq!(close_core(&drawn, Handedness::AsIs, MIDDLE).map(|stays| stays[2]), Some(false));
+        assert_eq!(close_core(&drawn, Handedness::AsIs, MIDDLE).map(|core| core.stays[2]), Some(false));
         drawn[2].covariance_px2 = Some([9.0, 0.0, 9.0]);
         assert_eq!(close_core(&drawn, Handedness::AsIs, MIDDLE), None);
     }

@@ -104,7 +104,7 @@ pub struct FoundMark {
 /// A solved orientation.
 #[derive(Clone, Debug)]
 pub struct Orientation {
-    /// The match that was believed.
+    /// The match that was believed, with marks that left the fit since ([`Orientation::marks`] has those that stay).
     pub evidence: Solved,
     pub solution: Solution,
     /// Control points of the fit, in order of the list and of `solution.pairs`.
@@ -278,11 +278,11 @@ fn orient(
     let mirrored = evidence.pattern.similarity.mirrored;
     // What stands beside its point may hide the mark that it should be, and has made room for others like it.
     if let Beside::LeaveTheFit { middle } = beside
-        && let Some(stays) = close_core(&pairs(gcps, &found.control), mirrored, middle)
+        && let Some(close) = close_core(&pairs(gcps, &found.control), mirrored, middle)
     {
         let core: Vec<FoundMark> =
-            found.control.iter().zip(&stays).filter(|(_, stays)| **stays).map(|(mark, _)| mark.clone()).collect();
-        let noise_px = noise_px.min(rms_px(&pairs(gcps, &core), mirrored).unwrap_or(noise_px));
+            found.control.iter().zip(&close.stays).filter(|(_, stays)| **stays).map(|(mark, _)| mark.clone()).collect();
+        let noise_px = noise_px.min(close.noise_px);
         if let Some(again) = complete(gcps, candidates, &evidence, (core, noise_px), &look)? {
             found = again;
         }
@@ -299,12 +299,6 @@ fn orient(
         }))),
         Err(_) => Ok(Outcome::Refused(Box::new(degenerate(evidence)))),
     }
-}
-
-/// RMS of the residuals, pixels.
-fn rms_px(pairs: &[Pair], mirrored: Handedness) -> Option<f64> {
-    let solution = solve_as(pairs, mirrored).ok()?;
-    Some(solution.rmse_m / solution.scale_m_per_px)
 }
 
 /// Looks for the points that have no mark yet where those that have one put them. `None` when these solve nothing.

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::candidate::Candidate;
 use crate::detector::Detector;
 use crate::learn::{DEFAULT_REACH_PX, learn};
-use crate::pipeline::georeference::{Job, Outcome, Run, match_and_orient, orient_again};
+use crate::pipeline::georeference::{Job, Orientation, Outcome, Run, match_and_orient, orient_again};
 use crate::pipeline::{MarkDetector, scan};
 use crate::profile::Profile;
 use crate::segment::label::Labeller;
@@ -156,15 +156,19 @@ pub fn look_closer(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
     let Ok(detector) = MarkDetector::new(profile.clone(), job.source.info(), None) else { return Ok((first, None)) };
     let relaxed = detector.relaxed();
     let outcome = orient_again(job, &first.scan.candidates, orientation.evidence.clone(), relaxed.as_detector())?;
-    let before = matched(&first);
     let second = Run { outcome, ..first.clone() };
     let after = matched(&second);
-    let report = SecondPass {
-        matched_after: after,
-        adopted: after > before,
-        ..SecondPass::of(&first, taught_by, &profile, Looked::Windows)
-    };
-    Ok((if after > before { second } else { first }, Some(report)))
+    // What left the fit would come back with the first mark that is found.
+    let adopted = after > matched(&first) + left_the_fit(orientation);
+    let report =
+        SecondPass { matched_after: after, adopted, ..SecondPass::of(&first, taught_by, &profile, Looked::Windows) };
+    Ok((if adopted { second } else { first }, Some(report)))
+}
+
+/// Marks of the pattern that stood beside their points.
+fn left_the_fit(orientation: &Orientation) -> usize {
+    let is_gone = |gcp: usize| !orientation.marks.iter().any(|mark| mark.gcp == gcp);
+    orientation.evidence.pattern.pairs.iter().filter(|pair| is_gone(pair.1)).count()
 }
 
 /// Leaves the candidates of the best scores that are worth matching to so many points after a refusal, in their order.
@@ -249,7 +253,7 @@ pub(super) fn strongest<'a>(marks: impl Iterator<Item = &'a Candidate>) -> Vec<P
 
 /// A profile of those positions that stand out enough to teach; `None` when none does.
 pub(super) fn taught(source: &dyn RasterSource, positions: &[PixelPoint]) -> Result<Option<Profile>> {
-    /// No mark that nobody pointed at scores less: bare ground beside a speck does.
+    /// No mark that nobody pointed at scores less, and four less where a point must be: bare ground beside a speck does.
     const LEAST_SCORE: f64 = -12.0;
     let bounds = source.info().bounds();
     let mut marks: Vec<(Patch, PixelPoint)> = Vec::new();

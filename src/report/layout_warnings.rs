@@ -3,7 +3,6 @@
 use autoref_raster::coords::PixelPoint;
 use autoref_solve::Solution;
 use autoref_solve::accuracy::ErrorModel;
-use autoref_solve::accuracy::error_map::corners;
 
 /// Marks within this part of their extent from a line count as on it.
 const ON_LINE: f64 = 0.02;
@@ -15,10 +14,16 @@ const GROWTH: f64 = 2.5;
 const LEAST_PX: f64 = 0.1;
 
 /// What the places of the marks mean for the corners of the image: marks on one line, marks in one part of it.
-pub fn plain_warnings(solution: &Solution, marks: &[PixelPoint], width_px: f64, height_px: f64) -> Vec<String> {
+/// `errors` are those of what is written.
+pub fn plain_warnings(
+    solution: &Solution,
+    errors: &ErrorModel,
+    marks: &[PixelPoint],
+    size_px: (f64, f64),
+) -> Vec<String> {
     let on_line = largest_line(marks);
     let lined = marks.len() >= 3 && on_line >= 3 && on_line + 1 >= marks.len();
-    let Some((amid, worst, direction)) = corner_error(solution, width_px, height_px) else { return Vec::new() };
+    let Some((amid, worst, direction)) = corner_error(solution, errors, size_px) else { return Vec::new() };
     let growth = format!(
         "the expected error (95 %) grows from {} amid the marks to {} in the {direction} corner",
         ground(amid),
@@ -43,11 +48,12 @@ fn ground(value_m: f64) -> String {
     }
 }
 
-/// Radius of 95 % amid the marks, in the worst corner, and which corner that is on the map. `None` when nothing is
-/// known of the noise, or there is none.
-fn corner_error(solution: &Solution, width_px: f64, height_px: f64) -> Option<(f64, f64, String)> {
-    let amid = ErrorModel::new(solution)?.at(solution.centre).transform_95_m;
-    let worst = corners(solution, (width_px, height_px))
+/// Radius of 95 % amid the marks, in the worst corner, and which corner that is on the map. `None` where there is no
+/// noise.
+fn corner_error(solution: &Solution, errors: &ErrorModel, size_px: (f64, f64)) -> Option<(f64, f64, String)> {
+    let amid = errors.at(solution.centre).transform_95_m;
+    let worst = errors
+        .corners(&solution.similarity, size_px)
         .into_iter()
         .max_by(|a, b| a.expected.transform_95_m.total_cmp(&b.expected.transform_95_m))?;
     (amid > 0.0).then_some((amid, worst.expected.transform_95_m, worst.direction))
@@ -81,6 +87,11 @@ mod tests {
     use autoref_raster::coords::MapPoint;
     use autoref_solve::{Pair, solve};
 
+    fn told(solution: &Solution, marks: &[PixelPoint], side_px: f64) -> Vec<String> {
+        ErrorModel::new(solution)
+            .map_or_else(Vec::new, |errors| plain_warnings(solution, &errors, marks, (side_px, side_px)))
+    }
+
     fn solved(places: &[(f64, f64)]) -> (Solution, Vec<PixelPoint>) {
         let pairs: Vec<Pair> = places
             .iter()
@@ -98,11 +109,13 @@ mod tests {
     #[test]
     fn marks_on_one_line_name_the_corner_that_suffers() {
         let (solution, marks) = solved(&[(700.0, 700.0), (800.0, 701.0), (980.0, 699.0), (900.0, 900.0)]);
-        let warnings = plain_warnings(&solution, &marks, 1000.0, 1000.0);
+        let warnings = told(&solution, &marks, 1000.0);
         assert_eq!(warnings.len(), 1);
         assert!(warnings[0].starts_with("3 of 4 marks lie on one line"), "{warnings:?}");
         assert!(warnings[0].ends_with("in the north-west corner"), "{warnings:?}");
-        let worst = corner_error(&solution, 1000.0, 1000.0).expect("redundant").1;
+        let worst = corner_error(&solution, &ErrorModel::new(&solution).expect("redundant"), (1000.0, 1000.0))
+            .expect("redundant")
+            .1;
         // ν = 4: √(4·(0.05^(−1/2) − 1)) = 3.726734.
         assert!((worst - 3.726_734 * solution.sigma_at_m(PixelPoint { x: 0.0, y: 0.0 })).abs() < 1e-6 * worst);
     }
@@ -110,13 +123,13 @@ mod tests {
     #[test]
     fn well_spread_marks_are_not_warned_of() {
         let (solution, marks) = solved(&[(50.0, 40.0), (930.0, 80.0), (960.0, 940.0), (60.0, 900.0), (500.0, 480.0)]);
-        assert!(plain_warnings(&solution, &marks, 1000.0, 1000.0).is_empty());
+        assert!(told(&solution, &marks, 1000.0).is_empty());
     }
 
     #[test]
     fn marks_in_a_corner_are_warned_of() {
         let (solution, marks) = solved(&[(50.0, 40.0), (150.0, 80.0), (160.0, 140.0), (60.0, 190.0)]);
-        let warnings = plain_warnings(&solution, &marks, 2000.0, 2000.0);
+        let warnings = told(&solution, &marks, 2000.0);
         assert!(warnings[0].contains("only a part") && warnings[0].contains("south-east"), "{warnings:?}");
     }
 }

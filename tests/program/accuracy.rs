@@ -301,6 +301,35 @@ fn the_run_states_it_and_check_points_never_touch_the_fit() {
 }
 
 /// A test that leaves out what fits badly tests nothing: marks beside their check points count, however far.
+/// An affine transform counts a coarse point for next to nothing, as the similarity does, and states errors of its own.
+#[test]
+fn an_affine_transform_weighs_points_and_states_its_own_errors() {
+    let corners = |result: &serde_json::Value| -> Vec<f64> {
+        let corners = result["expected_errors"].as_array().expect("corners").iter();
+        corners.map(|corner| corner["transform_95_m"].as_f64().expect("a number")).collect()
+    };
+    let (similarity, _) = solved(0.0, "EPSG:25832", &[]);
+    let (affine, text) = solved(0.0, "EPSG:25832", &["--model", "affine"]);
+    assert_eq!(affine["chosen_model"]["model"], "affine", "{text}");
+    let (plain, own) = (corners(&similarity), corners(&affine));
+    assert_eq!((plain.len(), own.len()), (4, 4));
+    let times: Vec<f64> = own.iter().zip(&plain).map(|(own, plain)| own / plain).collect();
+    assert!(
+        times.iter().all(|times| (0.7..3.0).contains(times)) && times.iter().any(|times| *times > 1.1),
+        "{times:?}"
+    );
+    // Nine points of ten, without the coarse one, have nearly the same transform.
+    let of = |result: &serde_json::Value| -> Vec<f64> {
+        let numbers = result["geotransform"].as_array().expect("six numbers").iter();
+        numbers.map(|number| number.as_f64().expect("a number")).collect()
+    };
+    let (without, _) = solved(0.0, "EPSG:25832", &["--model", "affine", "--check", "P5"]);
+    let corner = |t: &[f64]| [t[0] + 8000.0 * t[1] + 6000.0 * t[2], t[3] + 8000.0 * t[4] + 6000.0 * t[5]];
+    let (with, without) = (corner(&of(&affine)), corner(&of(&without)));
+    let apart_m = (with[0] - without[0]).hypot(with[1] - without[1]);
+    assert!(apart_m < 0.002, "{apart_m} m");
+}
+
 #[test]
 fn check_points_that_fit_badly_are_in_the_figures() {
     let number = |v: &serde_json::Value| v.as_f64().expect("a number");

@@ -183,7 +183,13 @@ fn what_would_be_drawn_in_the_wrong_place_or_unit_is_refused() {
 fn a_model_without_any_height_is_refused() {
     let folder = Folder::new();
     let (model, out) = (folder.at("a.tif"), folder.at("o.tif"));
-    write(&model, CORNER, (40, 40), |_, _| -32_768.0);
+    let driver = DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+    let mut dataset = driver.create_with_band_type::<i16, _>(&model, 40, 40, 1).expect("writable");
+    dataset.set_geo_transform(&[500_000.0, 10.0, 0.0, 8_700_000.0, 0.0, -10.0]).expect("a geotransform");
+    dataset.set_spatial_ref(&SpatialRef::from_epsg(25833).expect("known")).expect("a CRS");
+    let mut void = Buffer::new((40, 40), vec![-32_768i16; 1600]);
+    dataset.rasterband(1).and_then(|mut band| band.write((0, 0), (40, 40), &mut void)).expect("writable");
+    drop(dataset);
     for drawing in ["slope", "hillshade", "tri"] {
         let run = autoref(&["dem", drawing, text(&model), "-o", text(&out)]);
         let said = String::from_utf8_lossy(&run.stderr);

@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::similarity::{self, Pair, Unsolvable};
 use super::weights;
-use autoref_raster::coords::{MapPoint, PixelPoint};
+use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
 
 /// Which transform.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -141,7 +141,7 @@ pub fn fit(pairs: &[Pair], kind: Kind, weighting: Weighting) -> Result<PlanarFit
     };
     let leave_one_out_m = leave_one_out(pairs, without, residual);
     let leave_one_out_rmse_m = leave_one_out_m.as_deref().map(rms);
-    let warnings = warnings(pairs, kind, leave_one_out_rmse_m);
+    let warnings = warnings(pairs, &weights, kind, leave_one_out_rmse_m);
     Ok(PlanarFit { kind, weights, residuals_m, rmse_m, leave_one_out_rmse_m, leave_one_out_m, warnings, transform })
 }
 
@@ -325,7 +325,7 @@ fn refine(local: &[Local], start: Matrix3<f64>) -> Result<Matrix3<f64>, Unsolvab
 }
 
 /// Why these points may not support this transform, in plain words.
-fn warnings(pairs: &[Pair], kind: Kind, own: Option<f64>) -> Vec<String> {
+fn warnings(pairs: &[Pair], weights: &[f64], kind: Kind, own: Option<f64>) -> Vec<String> {
     let mut warnings = Vec::new();
     let (points, fewest) = (pairs.len(), kind.fewest_points());
     if points == fewest {
@@ -336,14 +336,15 @@ fn warnings(pairs: &[Pair], kind: Kind, own: Option<f64>) -> Vec<String> {
     } else if points < 2 * fewest {
         warnings.push(format!("only {points} points: {} or more would support the {} fit", 2 * fewest, kind.label()));
     }
-    let similarity = leave_one_out(
-        pairs,
-        |_, others| similarity::fit_equal_weights(others),
-        |s, pair| {
-            let c = s.apply(pair.pixel);
-            Some([pair.map.easting - c.easting, pair.map.northing - c.northing])
-        },
-    );
+    // Weighed alike: what weights gain is no merit of the further parameters.
+    let without = |i: usize, others: &[Pair]| {
+        let weights = [&weights[..i], &weights[i + 1..]].concat();
+        similarity::fit(others, &weights, Handedness::AsIs)
+    };
+    let similarity = leave_one_out(pairs, without, |s, pair| {
+        let c = s.apply(pair.pixel);
+        Some([pair.map.easting - c.easting, pair.map.northing - c.northing])
+    });
     match (own, similarity.as_deref().map(rms)) {
         (Some(own), Some(simple)) if own >= simple => warnings.push(format!(
             "the points do not support the {} fit: left-out points are missed by {own:.4} m, by {simple:.4} m with a similarity",

@@ -216,7 +216,7 @@
     for (let k = 0; k < 40; k++) scaleBar.append(svg("rect", { x: k * 4, width: 4.2, height: 12, fill: colour(k / 39), "fill-opacity": 0.8 }));
     byId("expected-note").textContent = `The transform puts 95 of 100 places within this distance of where they are: ${ground(low)} at best, ${ground(high)} in the worst corner. `
       + `It follows from the covariance of the fit alone with ${state.solution.freedom} redundant measurements. A single point read off the image adds the scatter of the marks themselves: ${ground(radius.point(nearest / f))} to ${ground(radius.point(far / f))}.`
-      + (MODEL === "affine" ? " Counted for the similarity; the affine transform that was written has two parameters more and is known a little less well: the corners' expected errors in the summary and the JSON are its own." : "")
+      + (MODEL === "affine" ? " Counted for the similarity; the affine transform that was written has two parameters more and is known less well, the more so the less alike the accuracies of the points are: the corners' expected errors in the summary and the JSON are its own." : "")
       + (D.misfit ? ` This map does not know what was said of the fit: ${D.misfit}. The corners' expected errors in the summary and the JSON count it.` : "");
     replace("expected-figure", box, html("div", { class: "legend" }, html("span", {}, ground(low), scaleBar, ground(high)), Draw.legendItem("found", "point of the fit")));
   }
@@ -226,10 +226,10 @@
     byId("residuals").hidden = !state.solution;
     if (!state.solution) return;
     const middle = Fit.apply(state.solution.similarity, D.image.width / 2, D.image.height / 2);
-    const items = [], affine = MODEL === "affine" ? state.chosen : null, freedom = 2 * state.control - (affine ? 6 : 4);
+    const items = [], affine = MODEL === "affine" ? state.chosen : null, own = (r) => r.own || r;
     D.points.forEach((p, i) => {
       const r = state.rows[i];
-      if (r) items.push({ name: p.name, e: r.e, n: r.n, length: r.length, weight: r.weight, redundancy: affine ? freedom / (2 * state.control) : r.redundancy, check: p.role === "check",
+      if (r) items.push({ name: p.name, e: r.e, n: r.n, length: r.length, weight: own(r).weight, redundancy: own(r).redundancy, check: p.role === "check",
         distance: Math.hypot(p.easting - middle[0], p.northing - middle[1]) });
     });
     const sigma0 = affine ? Planar.sigma0(affine) : state.solution.sigma0;

@@ -92,8 +92,8 @@ const Planar = (() => {
     return h;
   }
 
-  // A function from pixels to the map, null beyond the horizon, with the ground size of a pixel in the middle; null itself
-  // when the points do not determine it.
+  // A function from pixels to the map, null beyond the horizon, with about the ground size of a pixel in the middle; null
+  // itself when the points do not determine it.
   function transform(pairs, weights, kind) {
     if (pairs.length < fewest[kind]) return null;
     const to = normalise(pairs, weights);
@@ -140,7 +140,18 @@ const Planar = (() => {
     const origin = apply(0, 0), right = apply(ARM, 0), down = apply(0, ARM);
     const geotransform = kind === "affine"
       ? [origin[0], (right[0] - origin[0]) / ARM, (down[0] - origin[0]) / ARM, origin[1], (right[1] - origin[1]) / ARM, (down[1] - origin[1]) / ARM] : null;
-    return { kind, apply, weights, residuals, rmse: rms(residuals), rmseE: axis(0), rmseN: axis(1), leftOut, leftOutRmse: leftOut && rms(leftOut), geotransform };
+    return { kind, apply, weights, residuals, own: own(pairs, weights), rmse: rms(residuals), rmseE: axis(0), rmseN: axis(1), leftOut, leftOutRmse: leftOut && rms(leftOut), geotransform };
+  }
+
+  // Of each point the weight, and the share of its error that shows in its residual: 1 − w·r·N⁻¹·rᵀ with r = (u, v, 1).
+  function own(pairs, weights) {
+    const local = normalise(pairs, weights).local.map((p) => ({ ...p, row: [p.u, p.v, 1] }));
+    const at = (i, j) => sum(local.map((p, k) => weights[k] * p.row[i] * p.row[j]));
+    const [a, b, c, e, f, i] = [at(0, 0), at(0, 1), at(0, 2), at(1, 1), at(1, 2), at(2, 2)];
+    const minors = [[e * i - f * f, c * f - b * i, b * f - c * e], [c * f - b * i, a * i - c * c, b * c - a * f], [b * f - c * e, b * c - a * f, a * e - b * b]];
+    const determinant = a * minors[0][0] + b * minors[0][1] + c * minors[0][2];
+    const cofactor = (row) => sum(row.map((v, k) => v * sum(row.map((w, l) => w * minors[k][l])))) / determinant;
+    return local.map((p, k) => ({ weight: weights[k], redundancy: Math.max(1 - weights[k] * cofactor(p.row), 0) }));
   }
 
   // Standard deviation of a coordinate of unit weight; 0 when nothing is left over.

@@ -61,7 +61,7 @@ const Review = (() => {
         rows[i] = solution.rows[k];
         if (written) {
           const [e, n] = written.residuals[k], l = Math.sqrt(e * e + n * n), out = written.leftOut && written.leftOut[k];
-          rows[i] = { ...rows[i], e, n, length: l, px: l / solution.scale, weight: written.weights[k], leaveOneOut: out && Math.sqrt(out[0] * out[0] + out[1] * out[1]) };
+          rows[i] = { ...rows[i], e, n, length: l, px: l / solution.scale, own: written.own[k], leaveOneOut: out && Math.sqrt(out[0] * out[0] + out[1] * out[1]) };
         }
       });
       points.forEach((p, i) => {

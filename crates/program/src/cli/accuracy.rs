@@ -47,6 +47,7 @@ pub fn check_nssda(args: &AccuracyArgs, list: &GcpList) -> Result<(), Error> {
 pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_px: (f64, f64)) {
     let Some(solved) = result.solved_mut() else { return };
     let Some(solution) = &solved.solution else { return };
+    let similarity = solution.similarity;
     let checks: Vec<CheckError> = solved
         .check_points
         .iter()
@@ -74,11 +75,7 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
     let mut statement = accuracy::statement(&checks, &leave_one_out, &options);
     statement.reservations.extend(untested(solved, list));
     solved.accuracy = Some(statement);
-    let errors = match &solved.chosen_model {
-        Some(ChosenModel::Affine(_)) => of_affine(&solved.matches),
-        _ => ErrorModel::new(solution),
-    };
-    solved.expected_errors = errors.map_or_else(Vec::new, |errors| errors.corners(&solution.similarity, size_px));
+    solved.expected_errors = error_model(solved).map_or_else(Vec::new, |errors| errors.corners(&similarity, size_px));
     let misfit = Misfit::of(result);
     if let (Some(misfit), Some(solved)) = (&misfit, result.solved_mut()) {
         let scale_m_per_px = solved.fit.scale_m_per_px;
@@ -100,6 +97,14 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
         (_, misfit) => misfit.map(|misfit| misfit.note()),
     };
     result.warnings.extend(note.map(Warning::Said));
+}
+
+/// What is written says so much of its errors; `None` when nothing is known of the noise.
+pub fn error_model(solved: &SolvedRun) -> Option<ErrorModel> {
+    match &solved.chosen_model {
+        Some(ChosenModel::Affine(_)) => of_affine(&solved.matches),
+        _ => ErrorModel::new(solved.solution.as_ref()?),
+    }
 }
 
 /// What the affine transform through these marks says of its errors.

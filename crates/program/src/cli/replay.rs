@@ -75,9 +75,11 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     accuracy::state(result, &list, &args.gcps.accuracy, extent);
     if let (Some(solved), Some(image)) = (result.solved(), &recorded.image)
         && let Some(solution) = &solved.solution
+        && let Some(errors) = accuracy::error_model(solved)
     {
         let marks: Vec<PixelPoint> = solved.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
-        let notes = report::plain_warnings(solution, &marks, image.width as f64, image.height as f64);
+        let size_px = (image.width as f64, image.height as f64);
+        let notes = report::plain_warnings(solution, &errors, &marks, size_px);
         result.warnings.extend(notes.into_iter().map(Warning::Said));
     }
     let edits = counted(patch.edits.len(), "edit", "edits");

@@ -15,6 +15,7 @@ use autoref_stream::report::{self, Gathered, HeightArrow, KeptPixels, Overview, 
 use autoref_stream::result::{MatchRow, RunResult, SolvedRun, Warning};
 use clap::Args;
 
+use crate::cli::accuracy;
 use crate::cli::lengths::length;
 use crate::cli::progress::Bar;
 use crate::cli::residual_analysis::{self, Correlation};
@@ -54,10 +55,12 @@ impl<'a> Watch<'a> {
     pub fn gather(&self, result: &mut RunResult) -> anyhow::Result<Option<Gathered>> {
         if let Some(solved) = result.solved()
             && let Some(solution) = &solved.solution
+            && let Some(errors) = accuracy::error_model(solved)
         {
             let marks: Vec<PixelPoint> = solved.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
             let info = self.source.info();
-            let words = report::plain_warnings(solution, &marks, info.width as f64, info.height as f64);
+            let size_px = (info.width as f64, info.height as f64);
+            let words = report::plain_warnings(solution, &errors, &marks, size_px);
             result.warnings.extend(words.into_iter().map(Warning::Said));
         }
         let Some((overview, kept)) = &self.pictures else { return Ok(None) };
