@@ -253,7 +253,7 @@ pub(super) fn strongest<'a>(marks: impl Iterator<Item = &'a Candidate>) -> Vec<P
 
 /// A profile of those positions that stand out enough to teach; `None` when none does.
 pub(super) fn taught(source: &dyn RasterSource, positions: &[PixelPoint]) -> Result<Option<Profile>> {
-    /// No mark that nobody pointed at scores less, and four less where a point must be: bare ground beside a speck does.
+    /// No mark that nobody pointed at scores less (four less where a point must be): bare ground beside a speck does.
     const LEAST_SCORE: f64 = -12.0;
     let bounds = source.info().bounds();
     let mut marks: Vec<(Patch, PixelPoint)> = Vec::new();

@@ -21,6 +21,7 @@ pub fn unit(bits: u64) -> f64 {
 pub struct SplitMix64(pub u64);
 
 impl SplitMix64 {
+    /// The next 64 bits.
     pub fn next_u64(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         mix(self.0)
@@ -44,6 +45,7 @@ impl SplitMix64 {
 pub struct Mmix(pub u64);
 
 impl Mmix {
+    /// The next state, whose upper bits look drawn.
     pub fn next_u64(&mut self) -> u64 {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         self.0

@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 
 /// Numbers that have a rank.
 pub trait Ranked: Copy {
+    /// Which of two comes first.
     fn order(&self, other: &Self) -> Ordering;
 }
 

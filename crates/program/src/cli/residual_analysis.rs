@@ -88,8 +88,8 @@ const SECTORS: usize = 8;
 /// Below it neither a test nor an interval says anything.
 const FEWEST: usize = 5;
 
-/// The analysis. `tail_cut` is the share of the smallest and of the largest values that histograms, tests and magnitudes
-/// leave out, 0 to below 0.5.
+/// The analysis. `tail_cut` is the share of the smallest and of the largest values that histograms, tests and
+/// magnitudes leave out, 0 to below 0.5.
 pub fn analyse(residuals: &[Residual], tail_cut: f64) -> Analysis {
     let values = |of: &dyn Fn(&Residual) -> Option<f64>| -> Vec<f64> { residuals.iter().filter_map(of).collect() };
     let n = residuals.len().max(1) as f64;

@@ -133,8 +133,8 @@ pub fn untied(plan: &Plan, names: &[&str], tied: &[PairTies]) -> Option<String> 
     ))
 }
 
-/// Name, frames, and the residuals of the GCPs and check points that a line's frames show, as Table 9.1 of the thesis
-/// of 2017 has them.
+/// A line of the flight: its frames, and the residuals of the GCPs and check points that they show, as Table 9.1 of the
+/// thesis of 2017 has them.
 #[derive(Debug, Serialize)]
 pub struct LineResult<'a> {
     name: &'a str,

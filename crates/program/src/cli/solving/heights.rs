@@ -36,6 +36,10 @@ pub struct DemCopy {
 }
 
 impl DemCopy {
+    /// Draws the copy into a part file, which appears with the other outputs.
+    ///
+    /// # Errors
+    /// When the model cannot be read or the copy not be written.
     pub fn stage(self, result: &RunResult, transaction: &mut Transaction) -> autoref_raster::error::Result<()> {
         let to_positions = self.placed.to_positions(&self.fitted);
         let own = self.placed.frame == ModelFrame::Map;

@@ -5,6 +5,7 @@ use autoref_solve::kraus;
 use autoref_stream::result::Solver;
 use clap::ValueEnum;
 
+/// `--solver`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum SolverArg {
     Horn,
