@@ -496,9 +496,9 @@ fn old_paint_beside_its_points_is_not_in_the_fit() {
     let ground = |p: PixelPoint| MapPoint { easting: 570_000.0 + 0.03 * p.x, northing: 7_032_000.0 - 0.03 * p.y };
     let (mut candidates, mut gcps) = (Vec::new(), Vec::new());
     for i in 0..11 {
-        let p = PixelPoint { x: 4000.0 * random.unit(), y: 3000.0 * random.unit() };
+        let p = PixelPoint { x: 4000.0 * random.uniform(0.0, 1.0), y: 3000.0 * random.uniform(0.0, 1.0) };
         let old = [[0.0; 2], [6.0, 0.5], [-3.0, -7.4]][if i < 3 { i } else { 0 }];
-        let off = |k: usize, random: &mut Random| old[k] + 0.2 * (random.unit() - 0.5);
+        let off = |k: usize, random: &mut Random| old[k] + 0.2 * (random.uniform(0.0, 1.0) - 0.5);
         candidates.push(bare_candidate(p.x + off(0, &mut random), p.y + off(1, &mut random)));
         let at = ground(p);
         gcps.push(Gcp::control(format!("P{i}"), at.easting, at.northing));
