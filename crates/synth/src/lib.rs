@@ -16,6 +16,7 @@
 //! ```
 //!
 //! This crate imports `autoref-raster` only.
+mod blur;
 mod gcps;
 mod jpeg;
 mod landscape;

@@ -1,8 +1,9 @@
 //! A mark with every choice made, and how it changes a pixel.
 
+use super::blur::normal_cdf;
 use super::paint::Paint;
 use super::rng::{Rng, mix, value_noise};
-use super::shape::{Figure, Shape, normal_cdf};
+use super::shape::{Figure, Shape};
 use super::spec::{MarkStyle, MarkTurn};
 use super::truth::Shadow;
 

@@ -84,7 +84,7 @@ impl NoiseTable {
             let (mut low, mut high) = (-6.0, 6.0);
             for _ in 0..50 {
                 let mid = 0.5 * (low + high);
-                if super::shape::normal_cdf(mid) < p { low = mid } else { high = mid }
+                if super::blur::normal_cdf(mid) < p { low = mid } else { high = mid }
             }
             values.push((0.5 * (low + high) * sigma * 256.0).round() as i32);
         }

@@ -2,7 +2,7 @@
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
-use super::shape::{GAUSS, erf};
+use super::blur::{GAUSS, erf};
 
 /// Further away than so many σ the blur carries nothing: erf is 1 within 7e-6 there.
 const REACH: f64 = 4.5;
