@@ -5,13 +5,13 @@ use std::path::Path;
 use crate::candidate::Candidate;
 use crate::gcp::GcpRole;
 use crate::matching::{Effort, Pattern, Solved};
-use crate::pipeline::georeference::{FoundBy, FoundMark, Orientation};
+use crate::pipeline::georeference::{FoundBy, FoundMark, Orientation, pairs};
 use crate::result::RunResult;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 use autoref_review::HAND_VARIANCE_PX2;
 use autoref_review::{Action, Edit, PatchFile, Target};
-use autoref_solve::{Pair, solve_as};
+use autoref_solve::solve_as;
 
 /// What a replay gives.
 #[derive(Clone, Debug)]
@@ -138,15 +138,7 @@ fn apply(recorded: &RunResult, held: &mut [Option<Held>], edit: &Edit) -> Result
 }
 
 fn orientation(recorded: &RunResult, marks: Vec<FoundMark>, check_marks: Vec<FoundMark>) -> Replayed {
-    let pairs: Vec<Pair> = marks
-        .iter()
-        .map(|found| Pair {
-            pixel: found.mark.centre,
-            covariance_px2: found.mark.covariance_px2,
-            map: recorded.gcps[found.gcp].position(),
-            survey_sigma_m: recorded.gcps[found.gcp].sigma_m,
-        })
-        .collect();
+    let pairs = pairs(&recorded.gcps, &marks);
     let mirrored = recorded.similarity().map(|similarity| similarity.mirrored).unwrap_or_default();
     let Ok(solution) = solve_as(&pairs, mirrored) else { return Replayed::Unsolvable { points: pairs.len() } };
     let (mut not_found, mut outside) = (Vec::new(), Vec::new());

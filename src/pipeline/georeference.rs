@@ -422,7 +422,11 @@ pub fn diagnose(
     }
 }
 
-fn pairs(gcps: &[Gcp], marks: &[FoundMark]) -> Vec<Pair> {
+/// Marks and the GCPs that they are, as a fit takes them.
+///
+/// # Panics
+/// When a mark is that of a GCP beyond the list.
+pub fn pairs(gcps: &[Gcp], marks: &[FoundMark]) -> Vec<Pair> {
     marks
         .iter()
         .map(|found| Pair {

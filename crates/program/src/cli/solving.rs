@@ -15,7 +15,7 @@ use autoref_raster::atomic::{self, Existing};
 use autoref_raster::protected::same_file;
 use autoref_solve::planar::Kind;
 use autoref_stream::gcp::GcpList;
-use autoref_stream::pipeline::georeference::{Orientation, Outcome};
+use autoref_stream::pipeline::georeference::{Orientation, Outcome, pairs};
 use autoref_stream::result::{ChosenModel, RunResult};
 use clap::{Args, ValueEnum};
 
@@ -23,7 +23,7 @@ use self::explained::explain_under;
 pub use self::heights::{DemCopy, ImagePlace, heights_in_brief, lines};
 pub use self::model::{model_line, written_affine};
 pub use self::planar::flat;
-use self::planar::{pairs, planar_model, planar_solver};
+use self::planar::{planar_model, planar_solver};
 pub use self::solver::SolverArg;
 
 #[derive(Args, Debug)]
@@ -99,7 +99,7 @@ impl SolvingArgs {
                     None
                 }
             };
-        let pairs = pairs(orientation, list);
+        let pairs = pairs(&list.gcps, &orientation.marks);
         match self.model {
             ModelArg::Similarity => {
                 if let Some(solver) = self.solver {
@@ -134,11 +134,13 @@ pub fn again(result: &mut RunResult, recorded: &RunResult, orientation: &Orienta
     }
     match &recorded.chosen_model {
         None => {}
-        Some(ChosenModel::Affine(_)) => planar_model(result, &pairs(orientation, list), Kind::Affine),
-        Some(ChosenModel::Projective(_)) => planar_model(result, &pairs(orientation, list), Kind::Projective),
+        Some(ChosenModel::Affine(_)) => planar_model(result, &pairs(&list.gcps, &orientation.marks), Kind::Affine),
+        Some(ChosenModel::Projective(_)) => {
+            planar_model(result, &pairs(&list.gcps, &orientation.marks), Kind::Projective)
+        }
         Some(ChosenModel::Similarity(model)) => {
             if let Some(solver) = SolverArg::ALL.into_iter().find(|s| s.solver() == model.solver) {
-                planar_solver(result, &pairs(orientation, list), solver);
+                planar_solver(result, &pairs(&list.gcps, &orientation.marks), solver);
             }
         }
         Some(ChosenModel::SevenParameter(_)) => {

@@ -3,25 +3,10 @@
 use autoref_raster::coords::GeoTransform;
 use autoref_solve::absolute::PointPair;
 use autoref_solve::{Pair, planar};
-use autoref_stream::gcp::GcpList;
-use autoref_stream::pipeline::georeference::Orientation;
 use autoref_stream::result::{ChosenModel, PlanarModel, RunResult, SimilarityModel, Warning};
 
 use super::model::{enter_model, rows};
 use super::solver::SolverArg;
-
-pub(super) fn pairs(orientation: &Orientation, list: &GcpList) -> Vec<Pair> {
-    orientation
-        .marks
-        .iter()
-        .map(|mark| Pair {
-            pixel: mark.mark.centre,
-            covariance_px2: mark.mark.covariance_px2,
-            map: list.gcps[mark.gcp].position(),
-            survey_sigma_m: list.gcps[mark.gcp].sigma_m,
-        })
-        .collect()
-}
 
 /// An affine transform takes the similarity's place in the outputs; a projective one is reported.
 pub(super) fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar::Kind) {
