@@ -58,9 +58,7 @@ impl Search<'_> {
         let demand = Demand { fewest, first_looks };
         if pair.cost < (FEW_ENDS * self.field.points().len()) as f64 && pair.hypotheses() <= budget {
             let mut looking = Looking::new(self, pair, (demand, &bar));
-            for i in 0..self.field.points().len() {
-                self.ends_of(pair, i, |j, _| looking.take(&targets, (i, j)));
-            }
+            self.all_ends(pair, |ends| looking.take(&targets, ends));
             return looking.best(&targets);
         }
         let per_point = |i: usize| self.try_point(pair, &targets, (demand, &bar), i);

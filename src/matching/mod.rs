@@ -31,6 +31,7 @@ mod bar;
 mod bitmap;
 pub(crate) mod close_core;
 pub mod diagnosis;
+mod distances;
 pub(crate) mod doubtful;
 mod duplicates;
 mod effort;

@@ -50,7 +50,7 @@ type InTurn = (u64, u32, u32);
 pub(super) fn gcp_pairs(field: &Field, gcps: &[MapPoint], priors: &Priors) -> (Vec<GcpPair>, f64) {
     let allowed = Allowed::of(field, priors);
     let by_cost = priors.narrow_by_scale();
-    let of_first = |a: usize| {
+    let of_first = |a: usize, last: InTurn| {
         let pairs = (a + 1..gcps.len()).filter_map(|b| allowed.pair(gcps, (a, b)));
         let in_turn = |pair: &GcpPair| {
             // Bits of positive numbers are in the order of the numbers. Where every pair costs about the same, a fixed
@@ -61,17 +61,24 @@ pub(super) fn gcp_pairs(field: &Field, gcps: &[MapPoint], priors: &Priors) -> (V
             };
             ((key, pair.a as u32, pair.b as u32), pair.cost)
         };
-        pairs.map(|pair| in_turn(&pair)).collect::<Vec<(InTurn, f64)>>()
+        let (mut costs, mut order): (Vec<f64>, Vec<InTurn>) = (Vec::with_capacity(gcps.len() - a), Vec::new());
+        for (in_turn, cost) in pairs.map(|pair| in_turn(&pair)) {
+            costs.push(cost);
+            order.extend((in_turn < last).then_some(in_turn));
+        }
+        (costs, order)
     };
     let (mut order, mut possible): (Vec<InTurn>, f64) = (Vec::new(), 0.0);
+    // What comes after the last of those that are held is not held.
+    let mut last = (u64::MAX, u32::MAX, u32::MAX);
     for some in (0..gcps.len()).collect::<Vec<_>>().chunks(FIRSTS_TOGETHER) {
-        let pairs: Vec<Vec<(InTurn, f64)>> = some.par_iter().map(|a| of_first(*a)).collect();
-        for (in_turn, cost) in pairs.into_iter().flatten() {
-            possible += cost;
-            order.push(in_turn);
+        let pairs: Vec<(Vec<f64>, Vec<InTurn>)> = some.par_iter().map(|a| of_first(*a, last)).collect();
+        for (costs, in_turn) in pairs {
+            possible = costs.into_iter().fold(possible, |possible, cost| possible + cost);
+            order.extend(in_turn);
         }
         if order.len() > MOST_PAIRS {
-            order.select_nth_unstable(MOST_PAIRS);
+            last = *order.select_nth_unstable(MOST_PAIRS).1;
             order.truncate(MOST_PAIRS);
         }
     }
@@ -89,7 +96,7 @@ struct Allowed {
     point_pairs: f64,
     /// The share of them that the direction of north allows.
     turn: f64,
-    distances: Vec<f64>,
+    distances: Sorted,
 }
 
 impl Allowed {
@@ -104,7 +111,7 @@ impl Allowed {
             coarsest,
             point_pairs: n * (n - 1.0),
             turn,
-            distances: sampled_distances(field.points()),
+            distances: Sorted::of(sampled_distances(field.points())),
         }
     }
 
@@ -115,11 +122,57 @@ impl Allowed {
         if length_m <= 0.0 || reach_px.0 >= reach_px.1 {
             return None;
         }
-        let sampled = self.distances.len() as f64;
-        let share_below = |d: f64| self.distances.partition_point(|&x| x <= d) as f64 / sampled;
+        let sampled = self.distances.values.len() as f64;
+        let share_below = |d: f64| self.distances.up_to(d) as f64 / sampled;
         // At least a few, where the sample says none.
         let share = (share_below(reach_px.1) - share_below(reach_px.0)).max(1.0 / sampled);
         Some(GcpPair { a, b, length_m, reach_px, cost: self.point_pairs * share * self.turn })
+    }
+}
+
+/// Numbers from zero on in their order, with where each of many equal steps begins: two million pairs of a long list
+/// are asked for twice each.
+struct Sorted {
+    values: Vec<f64>,
+    steps_per_unit: f64,
+    /// How many values lie before each step, and how many there are.
+    before: Vec<u32>,
+}
+
+impl Sorted {
+    const VALUES_PER_STEP: usize = 4;
+    const FEW: usize = 16;
+
+    fn of(values: Vec<f64>) -> Sorted {
+        let steps = values.len() / Self::VALUES_PER_STEP + 1;
+        let largest = values.last().copied().unwrap_or(0.0);
+        let steps_per_unit = if largest > 0.0 { steps as f64 / largest } else { 0.0 };
+        let mut sorted = Sorted { values, steps_per_unit, before: vec![0; steps + 1] };
+        for at in 0..sorted.values.len() {
+            let step = sorted.step(sorted.values[at]);
+            sorted.before[step + 1] += 1;
+        }
+        for step in 1..sorted.before.len() {
+            sorted.before[step] += sorted.before[step - 1];
+        }
+        sorted
+    }
+
+    /// Grows with the value, so that what lies in a lower step is smaller.
+    fn step(&self, value: f64) -> usize {
+        ((value * self.steps_per_unit) as usize).min(self.before.len() - 2)
+    }
+
+    /// How many values are no larger.
+    fn up_to(&self, value: f64) -> usize {
+        let step = self.step(value);
+        let (from, to) = (self.before[step] as usize, self.before[step + 1] as usize);
+        let step = &self.values[from..to];
+        // A few are counted sooner than halved.
+        match step.len() {
+            ..=Self::FEW => from + step.iter().filter(|x| **x <= value).count(),
+            _ => from + step.partition_point(|x| *x <= value),
+        }
     }
 }
 
@@ -141,6 +194,27 @@ fn sampled_distances(points: &[PixelPoint]) -> Vec<f64> {
             }
         }
     }
-    distances.sort_by(f64::total_cmp);
+    distances.sort_unstable_by(f64::total_cmp);
     distances
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn values_are_counted_as_one_by_one(
+            mut values in prop::collection::vec(0.0..500.0f64, 0..200), clump in prop::collection::vec(99.9..100.1f64, 0..200),
+            asked in prop::collection::vec(-1.0..600.0f64, 1..50),
+        ) {
+            values.extend(clump);
+            values.sort_unstable_by(f64::total_cmp);
+            let sorted = Sorted::of(values.clone());
+            for value in asked.into_iter().chain(values.clone()).chain([f64::INFINITY, 0.0]) {
+                prop_assert_eq!(sorted.up_to(value), values.iter().filter(|x| **x <= value).count());
+            }
+        }
+    }
 }

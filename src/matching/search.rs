@@ -1,8 +1,11 @@
 //! The search through pairs: which hypotheses there are, in what order, and what each of them hits.
 
+use std::sync::OnceLock;
+
 use crate::candidate::Candidate;
 use crate::matching::Priors;
 use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
+use crate::matching::distances::Distances;
 use crate::matching::evidence::{CLOSEST_PX, log10_of_levels, log10_tail};
 use crate::matching::field::Field;
 use crate::matching::labels::Names;
@@ -29,6 +32,9 @@ const PATTERN_MISSED: f64 = 0.01;
 pub(super) const LONG: usize = 60;
 /// ... few enough that a pattern is noticed by one in so many of its pairs.
 const PAIRS_BY_BUDGET: usize = 4;
+/// So many points in the box about a pair's first end for each that may be at the other make it worth the sorting of
+/// all distances.
+const MOSTLY_OTHERS: f64 = 4.0;
 /// More hits than this leave no doubt.
 const MOST_HITS: usize = 32;
 
@@ -136,6 +142,8 @@ pub(super) struct Search<'a> {
     pub tolerance_px: f64,
     /// What coded targets say of themselves, where it is heeded.
     pub names: Option<Names>,
+    /// Worked out when the first pair asks for it.
+    distances: OnceLock<Option<Distances>>,
 }
 
 impl<'a> Search<'a> {
@@ -159,7 +167,8 @@ impl<'a> Search<'a> {
         let (least, most) = SEARCH_TOLERANCE_PX;
         let tolerance_px = (CHANCE_HIT / (std::f64::consts::PI * density)).sqrt().clamp(least, most);
         let log10_tests = possible.log10() + log10_searches;
-        let search = Search { field, bitmaps, gcps, priors, log10_tests, tolerance_px, names: None };
+        let distances = OnceLock::new();
+        let search = Search { field, bitmaps, gcps, priors, log10_tests, tolerance_px, names: None, distances };
         let pairs = search.telling_first(pairs);
         Some((search, pairs, possible))
     }
@@ -237,6 +246,29 @@ impl<'a> Search<'a> {
                 visit(j, to);
             }
         });
+    }
+
+    /// Calls `visit` with all points at the two ends of a pair that the priors allow, in no order.
+    pub fn all_ends(&self, pair: &GcpPair, mut visit: impl FnMut((usize, usize))) {
+        let points = self.field.points();
+        let distances = self.is_ring(pair).then(|| self.distances.get_or_init(|| Distances::of(points)).as_ref());
+        let Some(distances) = distances.flatten() else {
+            (0..points.len()).for_each(|i| self.ends_of(pair, i, |j, _| visit((i, j))));
+            return;
+        };
+        distances.between(pair.reach_px, |i, j| {
+            if self.allows(i, pair.a) && self.allows(j, pair.b) && self.may_span(pair, points[i], points[j]) {
+                visit((i, j));
+            }
+        });
+    }
+
+    /// Whether the second ends lie in so narrow a ring about the first that the box about it mostly holds others.
+    fn is_ring(&self, pair: &GcpPair) -> bool {
+        let (left, right, up, down) = self.sector(pair);
+        let (width, height) = ((right - left).min(self.field.width_px), (down - up).min(self.field.height_px));
+        let points = self.field.points().len() as f64;
+        points * width * height * self.field.density() > MOSTLY_OTHERS * (points + pair.cost)
     }
 
     /// Other GCPs as a hypothesis about `pair` predicts them, most certain first.
