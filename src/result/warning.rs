@@ -7,6 +7,8 @@ use std::fmt;
 pub enum Warning {
     /// No mark lies where that of a GCP must be, but another one near it.
     NearMiss { gcp: String, off_px: f64, off_m: f64 },
+    /// These fit badly.
+    LookAt { points: Vec<String> },
     /// What nothing takes back, in its words.
     Said(String),
 }
@@ -38,6 +40,7 @@ impl fmt::Display for Warning {
                 "{gcp}: no mark where it must be, but one {off_px:.1} px = {off_m:.3} m beside it; mark or survey may be \
                  wrong"
             ),
+            Warning::LookAt { points } => write!(f, "look at {}: mark or survey may be wrong", points.join(", ")),
             Warning::Said(words) => f.write_str(words),
         }
     }

@@ -1,20 +1,15 @@
 //! The adjustment of the 2-D similarity by pairs of unlike weight, with everything a surveyor asks of it.
 //!
-//! Redundancy numbers and smallest detectable blunders follow W. Baarda, "A testing procedure for use in geodetic
-//! networks", 1968, with non-centrality 4.13 (α = 0.1 %, β = 80 %). The report's page repeats the fit
-//! (`src/report/page/solve.js`) and must get the same bits.
+//! The report's page repeats the fit (`src/report/page/solve.js`) and must get the same bits.
 
 use nalgebra::{Matrix2, Matrix4, SMatrix};
 use serde::{Deserialize, Serialize};
 
+use crate::reliability::{Noise, Reliability};
 use crate::similarity::{Pair, Similarity, Unsolvable, centres, fit, length, residual, upright};
 use crate::weights::{self, LEAST_SIGMA_PX, prior_variances};
 use autoref_raster::coords::{GeoTransform, Handedness, PixelPoint};
 use autoref_raster::ranks::median;
-use autoref_raster::words::counted;
-
-/// Baarda's √λ₀ for a significance of 0.1 % and a power of 80 %.
-const BAARDA_SQRT_LAMBDA: f64 = 4.13;
 
 /// What is known of one pair after the fit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -143,21 +138,6 @@ fn huber_weights(pairs: &[Pair], similarity: &Similarity, base: &[f64]) -> Vec<f
     lengths.iter().zip(base).map(|(length, w)| if *length > limit { w * limit / length } else { *w }).collect()
 }
 
-/// A point that is nearer than this, as the others lay it, is none that fits badly, deviations of the best mark.
-const LEAST_MISFIT_SIGMAS: f64 = 3.72;
-
-/// log₁₀ of the chance that a point is so far from where the others put it, by the others' own noise: the weighted
-/// squares that it takes away with it, of the `all` there are, against what is left, F with 2 and 2(n − 1) − 4 degrees
-/// of freedom (R. D. Cook and S. Weisberg, "Residuals and Influence in Regression", 1982, the externally studentised
-/// residual), whose tail has a closed form. 0 for fewer than five points.
-fn log10_misfit(taken_away: f64, all: f64, points: usize) -> f64 {
-    const FEWEST: usize = 5;
-    if points < FEWEST || all <= 0.0 {
-        return 0.0;
-    }
-    (points as f64 - 3.0) * (1.0 - taken_away / all).max(0.0).log10()
-}
-
 fn describe(pairs: &[Pair], weights: &[f64], base: &[f64], similarity: Similarity) -> Solution {
     let total: f64 = weights.iter().sum();
     let (centre, _) = centres(pairs, weights, total);
@@ -187,31 +167,26 @@ fn describe(pairs: &[Pair], weights: &[f64], base: &[f64], similarity: Similarit
     }
     let scale = similarity.scale_m_per_px();
     let is_lowered = |i: usize| weights[i] < 0.999 * base[i];
-    // Of all points together one in a thousand fits is called so by chance.
-    let alarm = -3.0 - n.log10();
+    let noise = Noise { points: pairs.len(), freedom, weighted, sigma0_m, scale_m_per_px: scale };
     let results = (0..pairs.len())
         .map(|i| {
             let (e, no) = residuals[i];
             let arm = (pairs[i].pixel.x - centre.x).powi(2) + (pairs[i].pixel.y - centre.y).powi(2);
             // Leverage of a point of a similarity: the same for both coordinates.
             let leverage = weights[i] * (1.0 / total + arm / spread);
-            let redundancy = (1.0 - leverage).clamp(0.0, 1.0);
-            let usable = redundancy > 1e-9;
-            let sigma_i = sigma0_m.map(|s| s / weights[i].sqrt());
+            let Reliability { redundancy, detectable_blunder_m, misfit } =
+                Reliability::of(&noise, weights[i], leverage, residuals[i]);
+            let is_tested = Reliability::is_tested(redundancy);
             PairResult {
                 residual_e_m: e,
                 residual_n_m: no,
                 residual_px: e.hypot(no) / scale,
                 weight: weights[i],
-                leave_one_out_e_m: usable.then(|| e / redundancy),
-                leave_one_out_n_m: usable.then(|| no / redundancy),
+                leave_one_out_e_m: is_tested.then(|| e / redundancy),
+                leave_one_out_n_m: is_tested.then(|| no / redundancy),
                 redundancy,
-                detectable_blunder_m: sigma_i
-                    .filter(|_| redundancy > 0.02)
-                    .map(|s| BAARDA_SQRT_LAMBDA * s / redundancy.sqrt()),
-                outlier: is_lowered(i)
-                    || (usable && e.hypot(no) / redundancy > LEAST_MISFIT_SIGMAS * LEAST_SIGMA_PX * scale)
-                        && log10_misfit(weights[i] * (e * e + no * no) / redundancy, weighted, pairs.len()) <= alarm,
+                detectable_blunder_m,
+                outlier: is_lowered(i) || misfit,
             }
         })
         .collect();
@@ -244,10 +219,6 @@ fn warnings(pairs: &[Pair], solution: &Solution) -> Vec<String> {
         warnings.push("only 2 points: the residuals are zero by construction and say nothing about accuracy".into());
     } else if pairs.len() == 3 {
         warnings.push("only 3 points: the accuracy rests on 2 redundant measurements".into());
-    }
-    let outliers = solution.pairs.iter().filter(|p| p.outlier).count();
-    if outliers > 0 {
-        warnings.push(format!("{} badly; see `outlier` in the list", counted(outliers, "point fits", "points fit")));
     }
     let n = pairs.len() as f64;
     let centred: Vec<(f64, f64)> =

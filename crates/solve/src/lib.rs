@@ -23,6 +23,7 @@ pub mod heights;
 pub mod kraus;
 pub mod partial;
 pub mod planar;
+pub mod reliability;
 pub mod similarity;
 pub mod variance_ratio;
 pub mod weights;

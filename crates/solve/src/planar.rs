@@ -11,6 +11,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
+use super::reliability::{Noise, Reliability};
 use super::similarity::{self, Pair, Unsolvable};
 use super::weights;
 use autoref_raster::coords::{Handedness, MapPoint, PixelPoint};
@@ -69,6 +70,8 @@ pub struct PlanarFit {
     pub leave_one_out_rmse_m: Option<f64>,
     /// Those differences (easting, northing), metres, in the order of the pairs.
     pub leave_one_out_m: Option<Vec<[f64; 2]>>,
+    /// What each point says of itself, of an affine transform; `None` with three points and of a projective one.
+    pub reliability: Option<Vec<Reliability>>,
     pub warnings: Vec<String>,
     transform: Transform,
 }
@@ -111,6 +114,13 @@ impl Transform {
         })
     }
 
+    /// Of a pixel in the middle of the points, the root of its area on the ground.
+    fn scale_m_per_px(&self) -> f64 {
+        let h = &self.h;
+        let area = (h[(0, 0)] * h[(1, 1)] - h[(0, 1)] * h[(1, 0)]).abs();
+        self.map_unit / self.pixel_unit * area.sqrt()
+    }
+
     fn matrix(&self) -> Matrix3<f64> {
         let (s, c) = (1.0 / self.pixel_unit, self.pixel_centre);
         let from = Matrix3::new(s, 0.0, -s * c.x, 0.0, s, -s * c.y, 0.0, 0.0, 1.0);
@@ -141,17 +151,59 @@ pub fn fit(pairs: &[Pair], kind: Kind, weighting: Weighting) -> Result<PlanarFit
     };
     let leave_one_out_m = leave_one_out(pairs, without, residual);
     let leave_one_out_rmse_m = leave_one_out_m.as_deref().map(rms);
+    let reliability = match kind {
+        Kind::Affine => reliability(pairs, &weights, &transform, &residuals_m),
+        Kind::Projective => None,
+    };
     let warnings = warnings(pairs, &weights, kind, leave_one_out_rmse_m);
-    Ok(PlanarFit { kind, weights, residuals_m, rmse_m, leave_one_out_rmse_m, leave_one_out_m, warnings, transform })
+    Ok(PlanarFit {
+        kind,
+        weights,
+        residuals_m,
+        rmse_m,
+        leave_one_out_rmse_m,
+        leave_one_out_m,
+        reliability,
+        warnings,
+        transform,
+    })
+}
+
+/// What the affine transform shows of each point; `None` where nothing is redundant. A coordinate's leverage is
+/// w·r·N⁻¹·rᵀ with r = (u, v, 1) and N = Σ w·rᵀ·r, the same for both.
+fn reliability(
+    pairs: &[Pair],
+    weights: &[f64],
+    transform: &Transform,
+    residuals_m: &[[f64; 2]],
+) -> Option<Vec<Reliability>> {
+    let freedom = 2.0 * pairs.len() as f64 - Kind::Affine.parameters() as f64;
+    if freedom <= 0.0 {
+        return None;
+    }
+    let (_, local) = normalise(pairs, weights)?;
+    let rows: Vec<Vector3<f64>> = local.iter().map(|p| Vector3::new(p.u, p.v, 1.0)).collect();
+    let normal: Matrix3<f64> = rows.iter().zip(weights).map(|(row, weight)| *weight * row * row.transpose()).sum();
+    let inverse = normal.try_inverse()?;
+    let weighted: f64 = residuals_m.iter().zip(weights).map(|(r, w)| w * (r[0] * r[0] + r[1] * r[1])).sum();
+    let noise = Noise {
+        points: pairs.len(),
+        freedom,
+        weighted,
+        sigma0_m: Some((weighted / freedom).sqrt()),
+        scale_m_per_px: transform.scale_m_per_px(),
+    };
+    let of = |i: usize| {
+        let leverage = weights[i] * rows[i].dot(&(inverse * rows[i]));
+        Reliability::of(&noise, weights[i], leverage, residuals_m[i].into())
+    };
+    Some((0..pairs.len()).map(of).collect())
 }
 
 /// Weights from the residuals of `equal`, the fit in which every point counts alike.
 fn stated_weights(pairs: &[Pair], kind: Kind, equal: &Transform) -> Result<Vec<f64>, Unsolvable> {
     let squares: Vec<f64> = residuals(equal, pairs)?.iter().map(|r| r[0] * r[0] + r[1] * r[1]).collect();
-    let h = &equal.h;
-    let area = (h[(0, 0)] * h[(1, 1)] - h[(0, 1)] * h[(1, 0)]).abs();
-    let scale = equal.map_unit / equal.pixel_unit * area.sqrt();
-    Ok(weights::of_residuals(pairs, scale, kind.parameters(), || squares))
+    Ok(weights::of_residuals(pairs, equal.scale_m_per_px(), kind.parameters(), || squares))
 }
 
 fn residuals(transform: &Transform, pairs: &[Pair]) -> Result<Vec<[f64; 2]>, Unsolvable> {
@@ -396,6 +448,37 @@ mod tests {
             let v = fit.matrix() * Vector3::new(pairs[4].pixel.x, pairs[4].pixel.y, 1.0);
             assert!((v.x / v.z - pairs[4].map.easting).abs() < 1e-4);
         }
+    }
+
+    /// A point's error left out is its residual by its redundancy: two ways to the same number.
+    #[test]
+    fn redundancies_of_an_affine_fit_are_those_of_leaving_points_out() {
+        let sheared = |x: f64, y: f64| (0.03 * x + 0.002 * y, -0.028 * y + 0.001 * x);
+        let mut pairs = pairs(9, 0.02, sheared);
+        for (i, pair) in pairs.iter_mut().enumerate() {
+            pair.survey_sigma_m = Some(if i < 4 { 0.005 } else { 0.2 });
+        }
+        let fit = fit(&pairs, Kind::Affine, Weighting::Stated).expect("well determined");
+        let reliability = fit.reliability.expect("nine points");
+        assert!((reliability.iter().map(|r| r.redundancy).sum::<f64>() - 6.0).abs() < 1e-9);
+        for ((own, residual), left_out) in
+            reliability.iter().zip(&fit.residuals_m).zip(fit.leave_one_out_m.expect("nine points"))
+        {
+            for axis in 0..2 {
+                assert!((residual[axis] / own.redundancy - left_out[axis]).abs() < 1e-6, "{own:?}");
+            }
+            assert!(!own.misfit);
+        }
+    }
+
+    #[test]
+    fn a_wrong_point_of_an_affine_fit_is_its_misfit() {
+        let mut wrong = pairs(9, 0.004, |x, y| (0.03 * x + 0.002 * y, -0.028 * y + 0.001 * x));
+        wrong[5].map.easting += 0.8;
+        let fit = fit(&wrong, Kind::Affine, Weighting::Stated).expect("well determined");
+        let misfits: Vec<bool> = fit.reliability.expect("nine points").iter().map(|r| r.misfit).collect();
+        assert_eq!(misfits, [false, false, false, false, false, true, false, false, false]);
+        assert!(super::fit(&wrong[..3], Kind::Affine, Weighting::Stated).expect("three").reliability.is_none());
     }
 
     #[test]

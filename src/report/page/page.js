@@ -226,10 +226,10 @@
     byId("residuals").hidden = !state.solution;
     if (!state.solution) return;
     const middle = Fit.apply(state.solution.similarity, D.image.width / 2, D.image.height / 2);
-    const items = [], affine = MODEL === "affine" ? state.chosen : null, own = (r) => r.own || r;
+    const items = [], affine = MODEL === "affine" ? state.chosen : null;
     D.points.forEach((p, i) => {
       const r = state.rows[i];
-      if (r) items.push({ name: p.name, e: r.e, n: r.n, length: r.length, weight: own(r).weight, redundancy: own(r).redundancy, check: p.role === "check",
+      if (r) items.push({ name: p.name, e: r.e, n: r.n, length: r.length, weight: r.weight, redundancy: r.redundancy, check: p.role === "check",
         distance: Math.hypot(p.easting - middle[0], p.northing - middle[1]) });
     });
     const sigma0 = affine ? Planar.sigma0(affine) : state.solution.sigma0;

@@ -131,7 +131,7 @@ const Planar = (() => {
     const weights = Fit.weightsFrom(pairs, first.scale, 2 * fewest[kind], squares);
     const found = weights.every((w) => w === 1) ? first : through(weights);
     if (!found) return null;
-    const { apply, residuals } = found;
+    const { apply, residuals, scale } = found;
     const others = pairs.map((p, i) => {
       const rest = (values) => values.filter((_, k) => k !== i), without = transform(rest(pairs), rest(weights), kind);
       return without && residual(without.apply, p);
@@ -140,18 +140,23 @@ const Planar = (() => {
     const origin = apply(0, 0), right = apply(ARM, 0), down = apply(0, ARM);
     const geotransform = kind === "affine"
       ? [origin[0], (right[0] - origin[0]) / ARM, (down[0] - origin[0]) / ARM, origin[1], (right[1] - origin[1]) / ARM, (down[1] - origin[1]) / ARM] : null;
-    return { kind, apply, weights, residuals, own: own(pairs, weights), rmse: rms(residuals), rmseE: axis(0), rmseN: axis(1), leftOut, leftOutRmse: leftOut && rms(leftOut), geotransform };
+    return { kind, apply, weights, residuals, own: kind === "affine" ? own(pairs, weights, residuals, scale) : null, rmse: rms(residuals), rmseE: axis(0), rmseN: axis(1), leftOut, leftOutRmse: leftOut && rms(leftOut), geotransform };
   }
 
-  // Of each point the weight, and the share of its error that shows in its residual: 1 − w·r·N⁻¹·rᵀ with r = (u, v, 1).
-  function own(pairs, weights) {
+  // Of each point the weight and what the affine fit shows of it: its leverage is w·r·N⁻¹·rᵀ with r = (u, v, 1). Nothing is shown
+  // where nothing is redundant.
+  function own(pairs, weights, residuals, scale) {
+    const freedom = 2 * pairs.length - 2 * fewest.affine;
+    if (freedom <= 0) return pairs.map((_, k) => ({ weight: weights[k], redundancy: null, detectable: null, misfit: false }));
+    const weighted = sum(residuals.map((r, k) => weights[k] * (r[0] * r[0] + r[1] * r[1])));
+    const noise = { points: pairs.length, freedom, weighted, sigma0: Math.sqrt(weighted / freedom), scale };
     const local = normalise(pairs, weights).local.map((p) => ({ ...p, row: [p.u, p.v, 1] }));
     const at = (i, j) => sum(local.map((p, k) => weights[k] * p.row[i] * p.row[j]));
     const [a, b, c, e, f, i] = [at(0, 0), at(0, 1), at(0, 2), at(1, 1), at(1, 2), at(2, 2)];
     const minors = [[e * i - f * f, c * f - b * i, b * f - c * e], [c * f - b * i, a * i - c * c, b * c - a * f], [b * f - c * e, b * c - a * f, a * e - b * b]];
     const determinant = a * minors[0][0] + b * minors[0][1] + c * minors[0][2];
     const cofactor = (row) => sum(row.map((v, k) => v * sum(row.map((w, l) => w * minors[k][l])))) / determinant;
-    return local.map((p, k) => ({ weight: weights[k], redundancy: Math.max(1 - weights[k] * cofactor(p.row), 0) }));
+    return local.map((p, k) => ({ weight: weights[k], ...Fit.reliability(noise, weights[k], weights[k] * cofactor(p.row), residuals[k]) }));
   }
 
   // Standard deviation of a coordinate of unit weight; 0 when nothing is left over.

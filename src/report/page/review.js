@@ -61,7 +61,8 @@ const Review = (() => {
         rows[i] = solution.rows[k];
         if (written) {
           const [e, n] = written.residuals[k], l = Math.sqrt(e * e + n * n), out = written.leftOut && written.leftOut[k];
-          rows[i] = { ...rows[i], e, n, length: l, px: l / solution.scale, own: written.own[k], leaveOneOut: out && Math.sqrt(out[0] * out[0] + out[1] * out[1]) };
+          const { weight, redundancy, detectable, misfit } = written.own[k];
+          rows[i] = { e, n, length: l, px: l / solution.scale, weight, redundancy, detectable, outlier: misfit, leaveOneOut: out && Math.sqrt(out[0] * out[0] + out[1] * out[1]) };
         }
       });
       points.forEach((p, i) => {

@@ -3,7 +3,7 @@
 // order, so that a replay of a patch gives the numbers that this page showed. Change both together; tests/program/report
 // compares them.
 const Fit = (() => {
-  const BAARDA_SQRT_LAMBDA = 4.13, LEAST_SIGMA_PX = 0.02;
+  const BAARDA_SQRT_LAMBDA = 4.13, LEAST_SIGMA_PX = 0.02, LEAST_MISFIT_SIGMAS = 3.72;
   const length = (x, y) => Math.sqrt(x * x + y * y);
   const sum = (values) => values.reduce((a, b) => a + b, 0);
 
@@ -119,6 +119,17 @@ const Fit = (() => {
     return lengths.map((l, i) => (l > limit ? base[i] * limit / l : base[i]));
   }
 
+  // What a fit shows of one point: crates/solve/src/reliability.rs.
+  function reliability({ points, freedom, weighted, sigma0, scale }, weight, leverage, [e, n]) {
+    const redundancy = Math.min(Math.max(1 - leverage, 0), 1), tested = redundancy > 1e-9;
+    const taken = weight * (e * e + n * n) / redundancy;
+    const chance = freedom < 6 || weighted <= 0 ? 0 : (freedom / 2 - 1) * Math.log10(Math.max(1 - taken / weighted, 0));
+    return {
+      redundancy, tested, misfit: tested && length(e, n) / redundancy > LEAST_MISFIT_SIGMAS * LEAST_SIGMA_PX * scale && chance <= -3 - Math.log10(points),
+      detectable: sigma0 !== null && redundancy > 0.02 ? BAARDA_SQRT_LAMBDA * (sigma0 / Math.sqrt(weight)) / Math.sqrt(redundancy) : null,
+    };
+  }
+
   // `pairs`: {x, y, covariance: [xx, xy, yy] | null, e, n, sigma | null}. Null when there is no solution.
   function solve(pairs, mirrored) {
     if (pairs.length < 2) return null;
@@ -157,16 +168,14 @@ const Fit = (() => {
     const weighted = sum(residuals.map((r, i) => weights[i] * (r[0] * r[0] + r[1] * r[1])));
     const sigma0 = freedom > 0 ? Math.sqrt(weighted / freedom) : null;
     const variance = sigma0 !== null ? sigma0 * sigma0 : sum(priorVariances(pairs, scale)) / n;
+    const noise = { points: n, freedom, weighted, sigma0, scale };
     const rows = pairs.map((pair, i) => {
       const [e, no] = residuals[i];
-      const leverage = weights[i] * (1 / total + arm(pair) / spread);
-      const redundancy = Math.min(Math.max(1 - leverage, 0), 1), usable = redundancy > 1e-9;
+      const own = reliability(noise, weights[i], weights[i] * (1 / total + arm(pair) / spread), residuals[i]);
       return {
-        e, n: no, length: length(e, no), px: length(e, no) / scale, weight: weights[i], redundancy,
-        leaveOneOut: usable ? length(e / redundancy, no / redundancy) : null,
-        detectable: sigma0 !== null && redundancy > 0.02
-          ? BAARDA_SQRT_LAMBDA * (sigma0 / Math.sqrt(weights[i])) / Math.sqrt(redundancy) : null,
-        outlier: weights[i] < 0.999 * base[i],
+        e, n: no, length: length(e, no), px: length(e, no) / scale, weight: weights[i], redundancy: own.redundancy,
+        leaveOneOut: own.tested ? length(e / own.redundancy, no / own.redundancy) : null,
+        detectable: own.detectable, outlier: weights[i] < 0.999 * base[i] || own.misfit,
       };
     });
     return { similarity, scale, rotation: Math.atan2(similarity.a_im, similarity.a_re) * 180 / Math.PI, rmse, rmseE, rmseN,
@@ -187,5 +196,5 @@ const Fit = (() => {
     };
   }
 
-  return { solve, apply, invert, geotransform, radius95, weightsFrom };
+  return { solve, apply, invert, geotransform, radius95, weightsFrom, reliability };
 })();

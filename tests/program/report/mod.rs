@@ -43,6 +43,21 @@ impl Sample {
         Sample { folder, truth }
     }
 
+    /// Moves a visible point of the list so far to the east, metres; its name.
+    fn survey_off(&self, nth: usize, by_m: f64) -> String {
+        let wrong = self.truth.visible().nth(nth).expect("so many are visible").name.clone();
+        let text = std::fs::read_to_string(self.path("e6.geojson")).expect("the list");
+        let mut list: Value = serde_json::from_str(&text).expect("GeoJSON");
+        for feature in list["features"].as_array_mut().expect("features") {
+            if feature["properties"]["name"] == wrong.as_str() {
+                let easting = number(&feature["geometry"]["coordinates"][0]) + by_m;
+                feature["geometry"]["coordinates"][0] = easting.into();
+            }
+        }
+        std::fs::write(self.path("e6.geojson"), list.to_string()).expect("writable");
+        wrong
+    }
+
     fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
@@ -107,16 +122,7 @@ fn tab_to_cards(browser: &mut dyn Page) {
 /// off, found all the same: the wrong mark of the tests.
 fn with_a_wrong_mark() -> (Sample, String) {
     let sample = Sample::new(|spec| spec.clutter = 30, |list| list[0].name = EVIL.into());
-    let wrong = sample.truth.visible().nth(4).expect("ten are visible").name.clone();
-    let text = std::fs::read_to_string(sample.path("e6.geojson")).expect("the list");
-    let mut list: Value = serde_json::from_str(&text).expect("GeoJSON");
-    for feature in list["features"].as_array_mut().expect("features") {
-        if feature["properties"]["name"] == wrong.as_str() {
-            let easting = number(&feature["geometry"]["coordinates"][0]) + 0.05;
-            feature["geometry"]["coordinates"][0] = easting.into();
-        }
-    }
-    std::fs::write(sample.path("e6.geojson"), list.to_string()).expect("writable");
+    let wrong = sample.survey_off(4, 0.05);
     (sample, wrong)
 }
 

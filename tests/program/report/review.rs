@@ -93,6 +93,7 @@ fn heights_and_a_chosen_model_are_on_the_page_and_the_replay_solves_the_model_ag
         |_| {},
     );
     write_model(&sample.path("dem.tif"));
+    let wrong = sample.survey_off(4, 0.12);
     let check = sample.truth.visible().nth(7).expect("visible").name.clone();
     let dem = sample.path("dem.tif");
     for model in ["affine", "projective"] {
@@ -115,16 +116,29 @@ fn heights_and_a_chosen_model_are_on_the_page_and_the_replay_solves_the_model_ag
         let (matches, close) = (result["matches"].as_array().expect("rows"), |a: f64, b: f64| (a - b).abs() <= 1e-9);
         let shown = "(() => { const D = JSON.parse(document.getElementById('data').textContent), M = D.chosen_model.model; \
             const s = Review.evaluate(D.points, Review.initial(D.points), M); return { chosen: s.chosen.rmse, left: s.chosen.leftOutRmse, \
-            rmse: s.fit.rmse, rows: D.points.map((p, i) => s.rows[i] && [p.name, s.rows[i].e, s.rows[i].n]).filter((r) => r) }; })()";
+            rmse: s.fit.rmse, rows: D.points.map((p, i) => s.rows[i] && { name: p.name, ...s.rows[i] }).filter((r) => r) }; })()";
         let shown = browser.eval(shown);
         assert!(close(number(&shown["chosen"]), number(&result["chosen_model"]["rmse_m"])), "{shown}");
         assert!(close(number(&shown["left"]), number(&result["chosen_model"]["leave_one_out_rmse_m"])), "{shown}");
         assert!(close(number(&shown["rmse"]), number(&result["rmse_m"])), "{shown}");
         for row in matches.iter().chain(result["check_points"].as_array().expect("rows")) {
-            let on_page = shown["rows"].as_array().expect("rows").iter().find(|r| r[0] == row["gcp"]).expect("there");
-            assert!(close(number(&on_page[1]), number(&row["residual_e_m"])), "{on_page} against {row}");
-            assert!(close(number(&on_page[2]), number(&row["residual_n_m"])), "{on_page} against {row}");
+            let on_page =
+                shown["rows"].as_array().expect("rows").iter().find(|r| r["name"] == row["gcp"]).expect("there");
+            let both = [
+                ("e", "residual_e_m"),
+                ("n", "residual_n_m"),
+                ("redundancy", "redundancy"),
+                ("detectable", "detectable_blunder_m"),
+            ];
+            for (shown, written) in both.map(|(shown, written)| (&on_page[shown], &row[written])) {
+                assert!(shown.is_null() == written.is_null(), "{on_page} against {row}");
+                assert!(shown.is_null() || close(number(shown), number(written)), "{on_page} against {row}");
+            }
+            assert_eq!(on_page["outlier"], row["outlier"], "{on_page} against {row}");
+            assert_eq!(row["outlier"], row["gcp"] == wrong.as_str(), "{row}");
         }
+        let look_at = format!("look at {wrong}: mark or survey may be wrong");
+        assert_eq!(result["warnings"].to_string().matches(&look_at).count(), 1, "{}", result["warnings"]);
         // A mark less, and again.
         tab_to_cards(&mut browser);
         browser.key("Home", false);

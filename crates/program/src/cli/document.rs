@@ -225,29 +225,36 @@ fn solved(orientation: &Orientation, list: &GcpList, candidates: &[Candidate]) -
     }
 }
 
-/// Check points that are much farther off than the others are flagged; they count all the same.
 fn check_rows(orientation: &Orientation, list: &GcpList) -> Vec<MatchRow> {
+    let mut rows: Vec<MatchRow> = orientation.check_marks.iter().map(|mark| row(mark, orientation, list)).collect();
+    flag_far(&mut rows);
+    rows
+}
+
+/// Check points that are much farther off than the others are flagged; they count all the same.
+pub fn flag_far(rows: &mut [MatchRow]) {
     /// So many times the deviation that half of them have.
     const TIMES: f64 = 4.5;
-    let mut rows: Vec<MatchRow> = orientation.check_marks.iter().map(|mark| row(mark, orientation, list)).collect();
     let mut lengths_px: Vec<f64> = rows.iter().map(|row| row.residual_px).collect();
     lengths_px.sort_by(f64::total_cmp);
     // The half of a pair is its better one.
-    let Some(half) = lengths_px.get(lengths_px.len().saturating_sub(1) / 2) else { return rows };
+    let Some(half) = lengths_px.get(lengths_px.len().saturating_sub(1) / 2) else { return };
     let limit_px = (TIMES * half / 1.1774).max(LEAST_MISFIT_PX);
     rows.iter_mut().for_each(|row| row.outlier = row.residual_px > limit_px);
-    rows
+}
+
+/// The points of the fit and of the test that fit badly.
+pub fn to_look_at(result: &RunResult) -> Option<Warning> {
+    let checks = result.solved().map_or(&[][..], |solved| &solved.check_points);
+    let all = result.matches().iter().chain(checks);
+    let points: Vec<String> = all.filter(|row| row.outlier).map(|row| row.gcp.clone()).collect();
+    (!points.is_empty()).then_some(Warning::LookAt { points })
 }
 
 /// What a person should know of the fit.
 fn fit_notes(result: &RunResult, orientation: &Orientation, list: &GcpList) -> Vec<Warning> {
     let mut notes: Vec<Warning> = orientation.solution.warnings.iter().cloned().map(Warning::Said).collect();
-    let checks = result.solved().map_or(&[][..], |solved| &solved.check_points);
-    let all = result.matches().iter().chain(checks);
-    let outliers: Vec<&str> = all.filter(|m| m.outlier).map(|m| m.gcp.as_str()).collect();
-    if !outliers.is_empty() {
-        notes.push(format!("look at {}: mark or survey may be wrong", outliers.join(", ")).into());
-    }
+    notes.extend(to_look_at(result));
     notes.extend(near_misses(&result.candidates, orientation, list));
     notes.extend(other_pattern(orientation).map(Warning::Said));
     notes

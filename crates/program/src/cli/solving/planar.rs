@@ -2,9 +2,11 @@
 
 use autoref_raster::coords::GeoTransform;
 use autoref_solve::absolute::PointPair;
+use autoref_solve::reliability::Reliability;
 use autoref_solve::{Pair, planar};
-use autoref_stream::result::{ChosenModel, PlanarModel, RunResult, SimilarityModel, Warning};
+use autoref_stream::result::{ChosenModel, MatchRow, PlanarModel, RunResult, SimilarityModel, Warning};
 
+use super::super::document::{flag_far, to_look_at};
 use super::model::{enter_model, rows};
 use super::solver::SolverArg;
 
@@ -41,7 +43,28 @@ pub(super) fn planar_model(result: &mut RunResult, pairs: &[Pair], kind: planar:
     let (Some(origin), Some(right), Some(down)) = (at(0.0, 0.0), at(ARM, 0.0), at(0.0, ARM)) else { return };
     let transform = GeoTransform::through(origin, right, down, (ARM, ARM));
     enter_planar(result, transform, &fit.residuals_m, fit.leave_one_out_m.as_deref());
-    result.warn("the affine transform is written; redundancy and outliers are those of the similarity");
+    if let Some(solved) = result.solved_mut() {
+        enter_reliability(&mut solved.matches, fit.reliability.as_deref());
+    }
+    look_again(result);
+    result.warn("the affine transform is written");
+}
+
+/// Which points fit badly, by the transform that is written.
+fn look_again(result: &mut RunResult) {
+    result.warnings.retain(|warning| !matches!(warning, Warning::LookAt { .. }));
+    let look_at = to_look_at(result);
+    result.warnings.extend(look_at);
+}
+
+/// What each point says of itself; nothing where nothing is redundant.
+fn enter_reliability(rows: &mut [MatchRow], reliability: Option<&[Reliability]>) {
+    for (i, row) in rows.iter_mut().enumerate() {
+        let own = reliability.map(|all| all[i]);
+        row.redundancy = own.map(|own| own.redundancy);
+        row.detectable_blunder_m = own.and_then(|own| own.detectable_blunder_m);
+        row.outlier = own.is_some_and(|own| own.misfit);
+    }
 }
 
 /// The similarity by another solver than the weighted one takes its place in the outputs. Every point counts alike.
@@ -85,6 +108,7 @@ pub(super) fn planar_solver(result: &mut RunResult, pairs: &[Pair], solver: Solv
         solved.fit.rotation_deg = rotation_deg;
     }
     enter_planar(result, transform, &residuals, left_out.as_deref());
+    look_again(result);
     result.warn(format!(
         "the similarity by {} is written, in which every point counts alike; expected errors, redundancy and outliers are \
          those of the weighted one",
@@ -145,4 +169,5 @@ fn enter_planar(
         (row.residual_e_m, row.residual_n_m) = (row.easting - computed.easting, row.northing - computed.northing);
         row.residual_px = row.residual_e_m.hypot(row.residual_n_m) / scale;
     }
+    flag_far(&mut solved.check_points);
 }
