@@ -93,7 +93,7 @@ fn heights_and_a_chosen_model_are_on_the_page_and_the_replay_solves_the_model_ag
         |_| {},
     );
     write_model(&sample.path("dem.tif"));
-    let wrong = sample.survey_off(4, 0.12);
+    let wrong = sample.survey_off(4, 0.07);
     let check = sample.truth.visible().nth(7).expect("visible").name.clone();
     let dem = sample.path("dem.tif");
     for model in ["affine", "projective"] {
