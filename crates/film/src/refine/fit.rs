@@ -329,6 +329,17 @@ impl<const N: usize, const M: usize> Fit<N, M> {
         all
     }
 
+    /// Mean square of what the last round leaves over, of all pixels, of the squared contrast; what does not fit at all
+    /// counts as if it hardly fitted.
+    pub fn left_over(&self) -> f64 {
+        let most = (FIT * self.levels[1].abs()).powi(2);
+        let sum =
+            |squares: &mut dyn Iterator<Item = f32>| squares.map(|square| f64::from(square.min(most))).sum::<f64>();
+        let beside = sum(&mut self.opaque.iter().map(|v| (v - self.levels[0]).powi(2)));
+        let shaped = sum(&mut self.shaped.residuals.iter().map(|r| r * r));
+        (beside + shaped) / self.pixels().max(1) as f64 / f64::from(self.levels[1]).powi(2)
+    }
+
     /// Share of the mark's pixels that do not fit the last round plus share of those around it. A pixel of the mark
     /// must also stand out from the frame: a faint mark would fit anywhere. With the number of the mark's pixels, which
     /// are the fewer.

@@ -10,8 +10,10 @@ mod fit;
 mod spread;
 mod surface;
 
+use std::cell::OnceCell;
+
 use self::fit::Fit;
-use self::surface::Surface;
+use self::surface::{SHARP_PX, Surface};
 use super::template::{Linear, Model};
 use super::window::Grey;
 use autoref_raster::coords::PixelPoint;
@@ -58,9 +60,17 @@ const ROUGHLY_SIGMAS: f64 = 2.0;
 /// as damage for that.
 const UNLIKE: f32 = 0.06;
 
+/// Blurs of softer scans, pixels, each a root of two more than the last: between two of them an edge is softer or
+/// sharper by a fifth, which moves no line.
+const SOFTER_PX: [f64; 5] = [1.0, 1.4, 2.0, 2.8, 4.0];
+/// Rounds by which levels and weights are settled at a place that is given.
+const LEVEL_ROUNDS: usize = 3;
+
 /// A mark drawn for one frame, to be refined from one or several starts.
 pub struct Refiner {
     surface: Surface,
+    /// The same for softer scans; `None` for a learned mark, which has the edges that the scans have.
+    softer: Option<Softer>,
     unlike: f32,
     slopes: bool,
     /// For marks of lines, how far around a start is tried where the mark is damaged.
@@ -72,7 +82,8 @@ impl Refiner {
     pub fn new(model: &Model, linear: Linear, radius_mm: f64) -> Option<Refiner> {
         let px_per_mm = (linear[0] * linear[3] - linear[1] * linear[2]).abs().sqrt();
         Some(Refiner {
-            surface: Surface::new(model, linear, radius_mm)?,
+            surface: Surface::new(model, linear, radius_mm, SHARP_PX)?,
+            softer: model.is_drawn().then(|| Softer::of(model, linear, radius_mm)),
             unlike: if model.is_drawn() { 0.0 } else { UNLIKE },
             slopes: model.is_drawn() && model.shows_image(),
             around_px: model.sectors_deg().map(|_| AROUND_PX.max(model.detail_mm() * px_per_mm)),
@@ -82,7 +93,12 @@ impl Refiner {
     /// Refines `start` on full-resolution values. `None` when it does not settle: nothing to hold on to, or the centre
     /// walks away. Of several places that a damaged mark of lines may settle at, `doubt` adds to the misfit of each.
     pub fn refine(&self, grey: &Grey, start: PixelPoint, doubt: impl Fn(PixelPoint) -> f64) -> Option<Refined> {
-        let Some(step) = self.around_px else { return self.settle(grey, start, &|_, _| true) };
+        let found = self.refine_sharp(grey, start, doubt)?;
+        Some(self.softened(grey, found))
+    }
+
+    fn refine_sharp(&self, grey: &Grey, start: PixelPoint, doubt: impl Fn(PixelPoint) -> f64) -> Option<Refined> {
+        let Some(step) = self.around_px else { return self.settle(&self.surface, grey, start, &|_, _| true) };
         let around = [4, 0, 1, 2, 3, 5, 6, 7, 8].map(|k| {
             let (dx, dy) = (f64::from(k % 3 - 1) * step, f64::from(k / 3 - 1) * step);
             PixelPoint { x: start.x + dx, y: start.y + dy }
@@ -102,7 +118,9 @@ impl Refiner {
         for (k, start) in starts.iter().enumerate() {
             let most = best.as_ref().map_or(f64::INFINITY, |b| b.2 - CLEARLY);
             let hopeful = |place: PixelPoint, misfit: f64| misfit + doubt(place) < most;
-            let Some(r) = self.settle(grey, *start, &hopeful).filter(|r| r.contrast > 0.0) else { continue };
+            let Some(r) = self.settle(&self.surface, grey, *start, &hopeful).filter(|r| r.contrast > 0.0) else {
+                continue;
+            };
             let misfit = r.misfit + doubt(r.centre);
             if misfit < most {
                 best = Some((k, r, misfit));
@@ -114,12 +132,86 @@ impl Refiner {
         best.map(|(k, r, _)| (k, r))
     }
 
-    fn settle(&self, grey: &Grey, start: PixelPoint, hopeful: &Hopeful) -> Option<Refined> {
-        if self.slopes {
-            widest(Descent::<6, 4> { surface: &self.surface, unlike: self.unlike, grey, start, hopeful })
-        } else {
-            widest(Descent::<4, 2> { surface: &self.surface, unlike: self.unlike, grey, start, hopeful })
+    /// The same with the mark as soft as the scan shows it. Of a line with edges softer than drawn, a fit that gives
+    /// edges that are off no weight holds one, and lies beside it.
+    fn softened(&self, grey: &Grey, found: Refined) -> Refined {
+        let Some(softer) = &self.softer else { return found };
+        let (mut best, mut least) = (found, self.left_over(&self.surface, grey, found.centre));
+        for surface in softer.surfaces() {
+            let now = self.left_over(surface, grey, best.centre);
+            if !(now < least) {
+                break;
+            }
+            let Some(other) = self.settle(surface, grey, best.centre, &|_, _| true).filter(|r| r.contrast > 0.0) else {
+                break;
+            };
+            (best, least) = (other, self.left_over(surface, grey, other.centre));
         }
+        best
+    }
+
+    fn settle(&self, surface: &Surface, grey: &Grey, start: PixelPoint, hopeful: &Hopeful) -> Option<Refined> {
+        let unlike = self.unlike;
+        if self.slopes {
+            widest(Descent::<6, 4> { surface, unlike, grey, start, hopeful })
+        } else {
+            widest(Descent::<4, 2> { surface, unlike, grey, start, hopeful })
+        }
+    }
+
+    /// What a drawn mark leaves over at a place; see [`Fit::left_over`].
+    fn left_over(&self, surface: &Surface, grey: &Grey, place: PixelPoint) -> f64 {
+        let unlike = self.unlike;
+        let left_over = if self.slopes {
+            widest(LeftOver::<6, 4> { surface, unlike, grey, place })
+        } else {
+            widest(LeftOver::<4, 2> { surface, unlike, grey, place })
+        };
+        left_over.unwrap_or(f64::INFINITY)
+    }
+}
+
+/// The mark drawn for softer scans, once each is asked for.
+struct Softer {
+    model: Model,
+    linear: Linear,
+    radius_mm: f64,
+    surfaces: [OnceCell<Option<Surface>>; SOFTER_PX.len()],
+}
+
+impl Softer {
+    fn of(model: &Model, linear: Linear, radius_mm: f64) -> Softer {
+        Softer { model: model.clone(), linear, radius_mm, surfaces: Default::default() }
+    }
+
+    /// From the sharpest on.
+    fn surfaces(&self) -> impl Iterator<Item = &Surface> {
+        let drawn = |blur_px: f64| Surface::new(&self.model, self.linear, self.radius_mm, blur_px);
+        SOFTER_PX.iter().zip(&self.surfaces).map_while(move |(px, cell)| cell.get_or_init(|| drawn(*px)).as_ref())
+    }
+}
+
+/// What a mark leaves over where it lies, with `N` unknowns of which `M` are levels.
+#[derive(Clone, Copy)]
+struct LeftOver<'a, const N: usize, const M: usize> {
+    surface: &'a Surface,
+    unlike: f32,
+    grey: &'a Grey,
+    place: PixelPoint,
+}
+
+impl<const N: usize, const M: usize> Kernel for LeftOver<'_, N, M> {
+    type Output = Option<f64>;
+
+    #[inline(always)]
+    fn run(self) -> Option<f64> {
+        let LeftOver { surface, unlike, grey, place } = self;
+        let mut fit = Fit::<N, M>::new(unlike);
+        fit.gather(grey, surface, grey.from_scan(place), 1);
+        for _ in 0..LEVEL_ROUNDS {
+            fit.round()?;
+        }
+        Some(fit.left_over())
     }
 }
 

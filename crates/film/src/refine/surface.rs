@@ -11,8 +11,8 @@ use autoref_raster::simd::{Kernel, widest};
 const FINE: usize = 4;
 /// Parts of a place along each axis, of which a mark may cover some.
 const PARTS: usize = 4;
-/// Blur of scanner and emulsion, pixels. Learned marks have it already.
-const BLUR_PX: f64 = 0.7;
+/// Blur of a good scanner and emulsion, pixels. Learned marks have it already.
+pub(super) const SHARP_PX: f64 = 0.7;
 
 /// What the mark says about a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,7 +69,8 @@ pub(super) struct Phase {
 }
 
 impl Surface {
-    pub fn new(model: &Model, linear: Linear, radius_mm: f64) -> Option<Surface> {
+    /// `blur_px`: the standard deviation by which a drawn mark is blurred, pixels.
+    pub fn new(model: &Model, linear: Linear, radius_mm: f64, blur_px: f64) -> Option<Surface> {
         let inverse = invert(linear)?;
         let px_per_mm = (linear[0] * linear[3] - linear[1] * linear[2]).abs().sqrt();
         let reach = reach_px(model, linear, radius_mm * px_per_mm).map(|px| ((px + 3.0) * FINE as f64).ceil() as usize);
@@ -113,7 +114,7 @@ impl Surface {
             runs: vec![],
             runs_of: vec![0..0; FINE * FINE * rows],
         };
-        let weights = if model.is_drawn() { gaussian(BLUR_PX * FINE as f64) } else { vec![1.0] };
+        let weights = if model.is_drawn() { gaussian(blur_px * FINE as f64) } else { vec![1.0] };
         widest(Laid { surface: &mut surface, drawing, weights });
         Some(surface)
     }
