@@ -226,7 +226,7 @@ fn cells_of(a: &Model, b: &Model) -> Vec<String> {
             let shrunk = ((south + north) / 2.0).to_radians().cos().max(1e-3);
             [shorter_m / METRES_PER_DEGREE / shrunk, shorter_m / METRES_PER_DEGREE]
         }
-        (_, false) => [shorter_m / b.ground_unit().metres_per_unit(0.0).0; 2],
+        (_, false) => [shorter_m / b.ground_unit().metres_per_unit(b.grid().centre().1).0; 2],
     };
     let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>();
     let mut options = vec!["-tr".to_string()];

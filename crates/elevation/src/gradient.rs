@@ -64,7 +64,7 @@ pub fn needs_true_sides(model: &Path, picture: Picture) -> Result<bool> {
         return Ok(true);
     }
     Ok(match model.ground_unit() {
-        GroundUnit::Geographic { .. } => true,
+        GroundUnit::Geographic { .. } | GroundUnit::Stretched(_) => true,
         GroundUnit::Projected { metres_per_unit } => (metres_per_unit / model.metres_per_value() - 1.0).abs() > 1e-4,
     })
 }

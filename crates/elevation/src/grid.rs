@@ -1,6 +1,7 @@
 //! Where the cells of a north-up raster lie, and how long they are on the ground.
 
 use crate::coords::GeoTransform;
+use crate::crs::Crs;
 
 /// A raster grid without rotation: the outer corner of the first cell, the steps, the size.
 ///
@@ -63,9 +64,76 @@ impl Grid {
 pub enum GroundUnit {
     /// A projected CRS: metres of a unit.
     Projected { metres_per_unit: f64 },
+    /// A projected CRS whose units differ from those of the ground, from row to row otherwise, as Mercator's do.
+    Stretched(Stretch),
     /// Degrees on an ellipsoid.
     Geographic { semi_major_m: f64, eccentricity2: f64 },
 }
+
+/// What a unit of a projected CRS is on the ground in the rows of a grid, along its middle column: logarithms of metres
+/// as Chebyshev polynomials of y.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
+    middle: f64,
+    half: f64,
+    across: [f64; TERMS],
+    along: [f64; TERMS],
+}
+
+/// Terms of a stretch: for a map of the whole Earth good to half a per cent, of a country to a millionth.
+const TERMS: usize = 11;
+/// A unit that differs less from a metre of the ground is the map's own business, as in UTM.
+const STRETCHED: f64 = 0.01;
+
+impl Stretch {
+    /// `None` where no row is stretched by more than a hundredth, or the CRS does not say where the rows lie.
+    pub fn of(grid: &Grid, crs: &Crs) -> Option<Stretch> {
+        let [_, south, _, north] = grid.bounds();
+        let (x, middle, half) = (grid.centre().0, (south + north) / 2.0, (north - south) / 2.0);
+        let angle = |k: usize| std::f64::consts::PI * (k as f64 + 0.5) / TERMS as f64;
+        let step = STEP_M / crs.metres_per_unit();
+        let places: Vec<(f64, f64)> = (0..TERMS)
+            .map(|k| middle + half * angle(k).cos())
+            .flat_map(|y| [(x - step, y), (x + step, y), (x, y - step), (x, y + step)])
+            .collect();
+        let degrees = crs.own_longitudes_latitudes(&places)?;
+        let sides = degrees.as_chunks::<4>().0.iter().map(|[west, east, south, north]| {
+            let (mx, my) = GroundUnit::WGS84.metres_per_unit((south.1 + north.1) / 2.0);
+            let length = |a: &(f64, f64), b: &(f64, f64)| {
+                let turned = (b.0 - a.0 + 180.0).rem_euclid(360.0) - 180.0;
+                (turned * mx).hypot((b.1 - a.1) * my) / (2.0 * step)
+            };
+            (length(west, east), length(south, north))
+        });
+        let (across, along): (Vec<f64>, Vec<f64>) = sides.unzip();
+        let is_plain = |metres: &f64| (metres / crs.metres_per_unit() - 1.0).abs() <= STRETCHED;
+        let is_length = |metres: &f64| metres.is_normal() && *metres > 0.0;
+        let mut all = across.iter().chain(&along);
+        if !all.clone().all(is_length) || all.all(is_plain) {
+            return None;
+        }
+        let terms = |metres: &[f64]| -> [f64; TERMS] {
+            std::array::from_fn(|j| {
+                let term = |k: usize| metres[k].ln() * (j as f64 * angle(k)).cos();
+                (0..TERMS).map(term).sum::<f64>() * if j == 0 { 1.0 } else { 2.0 } / TERMS as f64
+            })
+        };
+        Some(Stretch { middle, half, across: terms(&across), along: terms(&along) })
+    }
+
+    /// Metres in a unit of x and of y. Beyond the grid as in its last row.
+    fn metres_per_unit(&self, y: f64) -> (f64, f64) {
+        let angle = ((y - self.middle) / self.half).clamp(-1.0, 1.0).acos();
+        let at = |terms: &[f64; TERMS]| -> f64 {
+            terms.iter().enumerate().map(|(j, term)| term * (j as f64 * angle).cos()).sum::<f64>().exp()
+        };
+        (at(&self.across), at(&self.along))
+    }
+}
+
+/// How far to either side of a place the ground is looked at, metres of the map: as long as degrees are exact to a
+/// billionth.
+const STEP_M: f64 = 100.0;
 
 impl GroundUnit {
     /// Metres.
@@ -74,6 +142,11 @@ impl GroundUnit {
     pub const WGS84: GroundUnit =
         GroundUnit::Geographic { semi_major_m: 6_378_137.0, eccentricity2: 0.006_694_379_990_14 };
 
+    /// Whether cells of one row are larger on the ground than those of another.
+    pub fn varies(&self) -> bool {
+        !matches!(self, GroundUnit::Projected { .. })
+    }
+
     /// Metres in a unit of x and of y at this y (a latitude in degrees, where the CRS is geographic).
     ///
     /// The radii of curvature across and along the meridian (Torge and Müller, *Geodesy*, 2012, equations 4.13 and
@@ -81,6 +154,7 @@ impl GroundUnit {
     pub fn metres_per_unit(&self, y: f64) -> (f64, f64) {
         match *self {
             GroundUnit::Projected { metres_per_unit } => (metres_per_unit, metres_per_unit),
+            GroundUnit::Stretched(stretch) => stretch.metres_per_unit(y),
             GroundUnit::Geographic { semi_major_m, eccentricity2 } => {
                 let latitude = y.to_radians();
                 let w2 = 1.0 - eccentricity2 * latitude.sin().powi(2);
@@ -95,6 +169,42 @@ impl GroundUnit {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn grid_of(x: f64, y: f64, step: f64) -> Grid {
+        let transform = GeoTransform([x, step, 0.0, y, 0.0, -step]);
+        Grid::new(&transform, 1000, 1000).expect("north up")
+    }
+
+    /// Web Mercator maps the ellipsoid as if it were a sphere of its greater axis: a unit is as long as the parallel is
+    /// to the equator.
+    #[test]
+    fn a_unit_of_mercator_is_the_shorter_the_nearer_the_pole() {
+        let crs = Crs::from_epsg(3857).expect("PROJ knows it");
+        let unit = GroundUnit::Stretched(Stretch::of(&grid_of(1e6, 15e6, 1000.0), &crs).expect("stretched"));
+        for y in [14.0e6, 14.3e6, 14.9e6f64] {
+            let latitude = (y / 6_378_137.0).sinh().atan();
+            let (mx, my) = GroundUnit::WGS84.metres_per_unit(latitude.to_degrees());
+            let expected = (mx.to_degrees() / 6_378_137.0, my.to_degrees() * latitude.cos() / 6_378_137.0);
+            let (across, along) = unit.metres_per_unit(y);
+            assert!((across / expected.0 - 1.0).abs() < 1e-6, "{y}: {across} for {}", expected.0);
+            assert!((along / expected.1 - 1.0).abs() < 1e-6, "{y}: {along} for {}", expected.1);
+        }
+        let whole = GroundUnit::Stretched(Stretch::of(&grid_of(-2e7, 2e7, 40_000.0), &crs).expect("stretched"));
+        let (across, _) = whole.metres_per_unit(0.0);
+        assert!((across - 1.0).abs() < 0.01, "{across}");
+    }
+
+    #[test]
+    fn units_of_utm_and_of_feet_are_the_maps_own() {
+        for (code, x, y) in
+            [(32633, 500_000.0, 8_700_000.0), (25832, 600_000.0, 6_000_000.0), (2263, 980_000.0, 200_000.0)]
+        {
+            let crs = Crs::from_epsg(code).expect("PROJ knows it");
+            assert_eq!(Stretch::of(&grid_of(x, y, 10.0), &crs), None, "{code}");
+        }
+        let nowhere = Crs::parse("local").expect("metres");
+        assert_eq!(Stretch::of(&grid_of(0.0, 0.0, 1.0), &nowhere), None);
+    }
 
     #[test]
     fn a_degree_at_the_equator_and_at_sixty() {

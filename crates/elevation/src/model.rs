@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 use gdal::raster::GdalDataType;
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
@@ -11,7 +11,7 @@ use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 use crate::coords::GeoTransform;
 use crate::crs::Crs;
 use crate::error::{Error, Result};
-use crate::grid::{Grid, GroundUnit};
+use crate::grid::{Grid, GroundUnit, Stretch};
 use crate::lift::Lift;
 use crate::source::{Heights, Patch};
 use crate::warp::warp_dataset;
@@ -24,6 +24,8 @@ pub struct Model {
     path: PathBuf,
     grid: Grid,
     crs: Option<Crs>,
+    /// Worked out when it is asked for.
+    ground_unit: OnceLock<GroundUnit>,
     wkt: String,
     kind: GdalDataType,
     block: (usize, usize),
@@ -90,7 +92,7 @@ impl Model {
         let floats = floats.filter(|floats| floats.size() == (grid.width, grid.height));
         let pool = Mutex::new(vec![dataset]);
         let path = path.to_path_buf();
-        Ok(Model { path, grid, crs, wkt, kind, block, band, lift: None, pool, floats })
+        Ok(Model { path, grid, crs, ground_unit: OnceLock::new(), wkt, kind, block, band, lift: None, pool, floats })
     }
 
     /// The same cells in the unit of height of another model.
@@ -101,7 +103,7 @@ impl Model {
 
     /// The same cells so much farther east, in units of the map.
     pub fn moved_east(self, by: f64) -> Model {
-        Model { grid: Grid { x0: self.grid.x0 + by, ..self.grid }, ..self }
+        Model { grid: Grid { x0: self.grid.x0 + by, ..self.grid }, ground_unit: OnceLock::new(), ..self }
     }
 
     /// The same heights above another vertical datum.
@@ -163,11 +165,12 @@ impl Model {
 
     /// What a unit of the horizontal axes is on the ground. Without a CRS a unit is a metre.
     pub fn ground_unit(&self) -> GroundUnit {
-        match &self.crs {
+        *self.ground_unit.get_or_init(|| match &self.crs {
             Some(crs) if crs.is_geographic() => GroundUnit::WGS84,
-            Some(crs) => GroundUnit::Projected { metres_per_unit: crs.metres_per_unit() },
+            Some(crs) => Stretch::of(&self.grid, crs)
+                .map_or(GroundUnit::Projected { metres_per_unit: crs.metres_per_unit() }, GroundUnit::Stretched),
             None => GroundUnit::METRES,
-        }
+        })
     }
 
     /// Runs `job` with a dataset that no other thread has.

@@ -8,6 +8,8 @@ mod joining;
 mod references;
 #[path = "as_files_say/sparse.rs"]
 mod sparse;
+#[path = "as_files_say/stretched.rs"]
+mod stretched;
 #[path = "as_files_say/zeros.rs"]
 mod zeros;
 

@@ -27,7 +27,6 @@ use autoref_raster::ranks::upper_median;
 use crate::couple::{Couple, open_couple};
 use crate::error::{Error, Result};
 use crate::files::{Resources, SMALLEST_BUDGET_BYTES, read_zones};
-use crate::grid::GroundUnit;
 use crate::kept::Room;
 use crate::output::{self, Cut, Form};
 use crate::resample::Interpolation;
@@ -257,8 +256,8 @@ impl CompareJob<'_> {
         let grid = &observed.scan.grid;
         let tiles = means.tiles(grid.width, grid.height);
         let count = groups.names.len();
-        let geographic = matches!(observed.scan.unit, GroundUnit::Geographic { .. });
-        let zones = observed.scan.zones.filter(|_| geographic).map_or(0, |zones| zones.names().len());
+        let varies = observed.scan.unit.varies();
+        let zones = observed.scan.zones.filter(|_| varies).map_or(0, |zones| zones.names().len());
         let state = || Counts { moments: vec![Moments::default(); count], extents: vec![Extent::default(); zones] };
         let state = || (state(), Buffers::default());
         let visit = |pass, window, (counts, buffers): &mut (Counts, Buffers), sink: select::Sink<'_>| {
@@ -287,7 +286,7 @@ impl CompareJob<'_> {
             whole.extents.iter_mut().zip(&part.extents).for_each(|(a, b)| a.merge(b));
         }
         let Counts { moments, extents } = whole;
-        Ok(Classes { groups, moments, distributions, extents: geographic.then_some(extents) })
+        Ok(Classes { groups, moments, distributions, extents: varies.then_some(extents) })
     }
 
     fn summary(

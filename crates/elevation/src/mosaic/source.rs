@@ -127,7 +127,7 @@ impl Source {
         for row in window.y..window.bottom() {
             let y = mosaic.y0 + (row as f64 + 0.5) * mosaic.step_y;
             let ratio = match self.unit {
-                GroundUnit::Projected { .. } => 1.0,
+                GroundUnit::Projected { .. } | GroundUnit::Stretched(_) => 1.0,
                 GroundUnit::Geographic { .. } => {
                     let (across, along) = self.unit.metres_per_unit(y);
                     across / along

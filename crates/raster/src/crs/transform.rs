@@ -227,6 +227,24 @@ impl Crs {
         (x[0].abs() <= 360.0 && y[0].abs() <= 90.0).then_some((x[0], y[0]))
     }
 
+    /// Longitudes and latitudes, degrees, on the system's own datum; `None` for a local system, one whose longitudes
+    /// count in something else, and where a place has none.
+    pub fn own_longitudes_latitudes(&self, places: &[(f64, f64)]) -> Option<Vec<(f64, f64)>> {
+        if self.is_local() {
+            return None;
+        }
+        let own = self.spatial_ref().ok()?;
+        let mut base = own.geog_cs().ok()?;
+        if !Crs::parse(&base.to_wkt().ok()?).ok()?.counts_degrees() {
+            return None;
+        }
+        base.set_axis_mapping_strategy(AxisMappingStrategy::TraditionalGisOrder);
+        let (mut x, mut y): (Vec<f64>, Vec<f64>) = places.iter().copied().unzip();
+        CoordTransform::new(&own, &base).ok()?.transform_coords(&mut x, &mut y, &mut []).ok()?;
+        let degrees: Vec<(f64, f64)> = x.into_iter().zip(y).collect();
+        degrees.iter().all(|(x, y)| x.is_finite() && y.abs() <= 90.0).then_some(degrees)
+    }
+
     fn failed(&self, to: &Crs, why: &str, remedy: &str) -> Error {
         Error::usage(self.cannot(to, why), remedy)
     }
