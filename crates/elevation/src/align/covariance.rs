@@ -20,12 +20,17 @@ pub(super) fn score_block_px(grid: &Grid) -> u64 {
     px
 }
 
+/// The variance of a parameter over the inverse of its normal equations where residuals hang together nowhere: E ψ² / E ψ'
+/// of the biweight for normal noise.
+const WHITE: f64 = 0.8;
+
 /// The covariance of the parameters from what each block of cells moves the solution by (the sandwich of P. Huber, *The
 /// behavior of maximum likelihood estimates under nonstandard conditions*, 1967, with blocks as clusters): residuals
 /// that hang together within a block count as what they are. A block moves it by what the others say without it (R.
 /// Bell and D. McCaffrey, *Bias reduction in standard errors for linear regression with multi-stage samples*, 2002), so
 /// that steep ground in a few blocks is not taken for certain. What hangs together over the blocks' borders is added
-/// from neighbours; blocks are doubled while that shows more than chance does.
+/// from neighbours; blocks are doubled while that shows more than chance does. No parameter is surer than the noise of
+/// single cells lets it be: where all slope lies in two or three blocks, their scatter is a matter of luck.
 pub(super) fn covariance(sums: &Sums, free: Free, grid: &Grid, block_px: u64) -> Option<DMatrix<f64>> {
     const FEWEST: usize = 40;
     let (first, n, parameters) = (free.first(), free.count(), sums.parameters());
@@ -48,6 +53,9 @@ pub(super) fn covariance(sums: &Sums, free: Free, grid: &Grid, block_px: u64) ->
         }
         (best, filled) = (next, fewer);
     }
+    let grown = |i: usize| (WHITE * inverse[(i, i)] / best[(i, i)]).max(1.0).sqrt();
+    let grown: Vec<f64> = (0..n).map(grown).map(|by| if by.is_finite() { by } else { 1.0 }).collect();
+    let best = DMatrix::from_fn(n, n, |i, j| best[(i, j)] * grown[i] * grown[j]);
     let mut whole = DMatrix::zeros(parameters, parameters);
     whole.view_mut((first, first), (n, n)).copy_from(&best);
     Some(whole)

@@ -72,7 +72,8 @@ const LEVEL_ROUNDS: usize = 3;
 /// A mark drawn for one frame, to be refined from one or several starts.
 pub struct Refiner {
     surface: Surface,
-    /// The same for softer scans; `None` for a learned mark, which has the edges that the scans have.
+    /// The same for softer scans, of marks of lines: others have no second edge beside the first, and how soft a small
+    /// hole is cannot be told from how large it is. `None` for a learned mark, which has the edges that the scans have.
     softer: Option<Softer>,
     unlike: f32,
     slopes: bool,
@@ -86,7 +87,7 @@ impl Refiner {
         let px_per_mm = (linear[0] * linear[3] - linear[1] * linear[2]).abs().sqrt();
         Some(Refiner {
             surface: Surface::new(model, linear, radius_mm, SHARP_PX)?,
-            softer: model.is_drawn().then(|| Softer::of(model, linear, radius_mm)),
+            softer: (model.is_drawn() && model.sectors_deg().is_some()).then(|| Softer::of(model, linear, radius_mm)),
             unlike: if model.is_drawn() { 0.0 } else { UNLIKE },
             slopes: model.is_drawn() && model.shows_image(),
             around_px: model.sectors_deg().map(|_| AROUND_PX.max(model.detail_mm() * px_per_mm)),
