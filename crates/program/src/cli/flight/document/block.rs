@@ -246,3 +246,31 @@ impl BlunderRecord {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_known_is_null_and_what_is_not_said_is_absent() {
+        let blunder = |frame: Option<&str>, by: BlunderBy| {
+            let record = BlunderRecord { gcp: "G".into(), frame: frame.map(String::from), by, test: 4.5 };
+            serde_json::to_string(&record).expect("JSON")
+        };
+        assert_eq!(
+            blunder(Some("f"), BlunderBy::Pixels(Some(vec![1.0, f64::NAN]))),
+            r#"{"gcp":"G","frame":"f","by_px":[1.0,null],"test":4.5}"#
+        );
+        assert_eq!(
+            blunder(Some("f"), BlunderBy::Pixels(None)),
+            r#"{"gcp":"G","frame":"f","by_px":null,"test":4.5}"#
+        );
+        assert_eq!(
+            blunder(None, BlunderBy::Metres(vec![1.0, 2.0, 3.0])),
+            r#"{"gcp":"G","frame":null,"by_m":[1.0,2.0,3.0],"test":4.5}"#
+        );
+        let document = serde_json::to_string(&CamerasDocument::default()).expect("JSON");
+        assert!(document.contains(r#""gcp_statistics":null"#), "{document}");
+        assert!(document.ends_with(r#""ended":"","notes":[]}"#), "{document}");
+    }
+}

@@ -179,3 +179,42 @@ impl From<CameraRecord> for OtherPose {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use autoref_flight::plane::Polynomial;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn keys_of_a_camera_come_in_their_order() {
+        let mut lens = Camera::pinhole("lens", [400.0, 300.0], 500.0, [200.0, 150.0]);
+        let pose = Pose { rotation: Matrix3::identity(), centre: Vector3::new(1.0, 2.0, 3.0) };
+        let world = World::Flat { origin: Vector3::zeros() };
+        let written = |lens: &Camera, covariance: Option<&SMatrix<f64, 6, 6>>| {
+            let record = CameraRecord::of("f", lens, &pose, covariance, &world);
+            serde_json::to_value(record).expect("JSON")
+        };
+        let keys = |value: &serde_json::Value| {
+            value.as_object().map(|map| map.keys().cloned().collect::<Vec<_>>().join(" ")).unwrap_or_default()
+        };
+        let plain = written(&lens, None);
+        assert_eq!(
+            keys(&plain),
+            "name e n h yaw_deg pitch_deg roll_deg omega_phi_kappa_deg C R f_px pp_px size_px distortion"
+        );
+        assert_eq!(plain["distortion"].to_string(), "{}");
+        lens.set(Parameter::P1, 0.25).set(Parameter::K1, -0.5);
+        lens.size_of = SizeOf::Film;
+        lens.projection = Projection::Fisheye;
+        lens.after = vec![PlaneMap::Undo(Polynomial::new([0.0, 0.0], 1000.0))];
+        let known = written(&lens, Some(&SMatrix::identity()));
+        assert_eq!(
+            keys(&known),
+            "name e n h yaw_deg pitch_deg roll_deg omega_phi_kappa_deg sigma_e sigma_n sigma_h sigma_yaw_deg \
+             sigma_pitch_deg sigma_roll_deg covariance C R f_px pp_px size_px size_of distortion"
+        );
+        assert_eq!(keys(&known["distortion"]), "k1 p1 projection after");
+        assert_eq!((&known["size_of"], &known["distortion"]["projection"]), (&"film".into(), &"fisheye".into()));
+    }
+}
