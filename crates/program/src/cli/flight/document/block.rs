@@ -261,10 +261,7 @@ mod tests {
             blunder(Some("f"), BlunderBy::Pixels(Some(vec![1.0, f64::NAN]))),
             r#"{"gcp":"G","frame":"f","by_px":[1.0,null],"test":4.5}"#
         );
-        assert_eq!(
-            blunder(Some("f"), BlunderBy::Pixels(None)),
-            r#"{"gcp":"G","frame":"f","by_px":null,"test":4.5}"#
-        );
+        assert_eq!(blunder(Some("f"), BlunderBy::Pixels(None)), r#"{"gcp":"G","frame":"f","by_px":null,"test":4.5}"#);
         assert_eq!(
             blunder(None, BlunderBy::Metres(vec![1.0, 2.0, 3.0])),
             r#"{"gcp":"G","frame":null,"by_m":[1.0,2.0,3.0],"test":4.5}"#
