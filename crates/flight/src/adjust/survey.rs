@@ -1,9 +1,11 @@
 //! Surveyed points, with where they were seen.
 
 use nalgebra::Vector3;
+use serde::Serialize;
 
 /// Whether a point takes part.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Role {
     Control,
     Check,

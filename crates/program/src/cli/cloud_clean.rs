@@ -1,5 +1,7 @@
 //! `autoref-stream cloud clean`: the chain of steps, in the order in which they are written.
 
+mod reports;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -8,17 +10,17 @@ use autoref_cloud::clean::{self, CleanReport, Invalid, Plan, Step};
 use autoref_cloud::crop::{Crop, Polygon, Ring};
 use autoref_cloud::{io, isolated, page, params, smrf};
 use autoref_raster::atomic::{self, Existing, Transaction};
-use autoref_raster::bounded;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::Error;
-use autoref_raster::fingerprint::{self, Fingerprint};
+use autoref_raster::fingerprint::Fingerprint;
 use autoref_raster::output_folder::OutputFolder;
 use clap::Args;
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use super::cloud_cameras::Cameras;
 use super::cloud_means::{Begun, MeansArgs};
 use autoref_cloud::io::stem;
+use reports::{Identity, Parameters, WrittenReport, beside, document, finished, print};
 
 /// Classify noise and ground, step by step in the order written; every step is done only when it is asked for.
 ///
@@ -227,10 +229,6 @@ impl CleanArgs {
     }
 }
 
-fn beside(target: &Path, what: &str) -> PathBuf {
-    target.with_file_name(format!("{}.clean.{what}", stem(target)))
-}
-
 pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
     for name in &args.drop {
         if !["noise", "object"].contains(&name.trim()) {
@@ -252,19 +250,19 @@ pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
         scratch: PathBuf::new(),
         crs_wkt: asked.map(|crs| crs.wkt().to_string()),
     };
-    let parameters = json!({
-        "steps": args.in_order(),
-        "elevation_angle": args.elevation_angle,
-        "drop": args.drop,
-        "shift": plan.shift,
-        "crs": args.means.crs,
-        "skip_invalid": args.skip_invalid,
-    });
+    let parameters = Parameters {
+        steps: args.in_order(),
+        elevation_angle: args.elevation_angle,
+        drop: args.drop.clone(),
+        shift: plan.shift,
+        crs: args.means.crs.clone(),
+        skip_invalid: args.skip_invalid,
+    };
     let mut todo = Vec::new();
     for (cloud, target) in args.clouds.iter().zip(&targets) {
         let steps = steps_of(cloud, &written, args.elevation_angle)?;
-        let identity = identity(cloud, &parameters, &steps)?;
-        let done = args.resume.then(|| finished(target, &identity)).flatten();
+        let identity = Identity::of(cloud, &parameters, &steps)?;
+        let done = if args.resume { finished(target, &identity)? } else { None };
         if done.is_none() {
             let same = std::fs::canonicalize(target).ok().zip(std::fs::canonicalize(cloud).ok());
             if same.is_some_and(|(a, b)| a == b) {
@@ -293,11 +291,11 @@ pub fn run(args: &CleanArgs) -> anyhow::Result<ExitCode> {
         plan.steps = steps;
         let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         plan.scratch = args.means.scratch.clone().unwrap_or_else(|| folder.to_path_buf());
-        let report = one(cloud, target, &plan, identity, args)?;
+        let (report, written) = one(cloud, target, &plan, &identity, args)?;
         if !args.means.json {
-            print(&report)?;
+            print(&report);
         }
-        reports.push(report);
+        reports.push(written);
     }
     if args.means.json {
         println!("{}", serde_json::to_string_pretty(&document(reports))?);
@@ -316,7 +314,14 @@ fn steps_of(cloud: &Path, written: &[Written], elevation_angle: f64) -> anyhow::
     written.iter().map(step).collect()
 }
 
-fn one(cloud: &Path, target: &Path, plan: &Plan, identity: Value, args: &CleanArgs) -> anyhow::Result<Value> {
+/// Cleans a cloud: what became of it, and the report as it is written beside the output.
+fn one(
+    cloud: &Path,
+    target: &Path,
+    plan: &Plan,
+    identity: &Identity,
+    args: &CleanArgs,
+) -> anyhow::Result<(CleanReport, Value)> {
     let mut outputs = Transaction::new();
     let (mut report, mut output_bytes, mut content): (Option<CleanReport>, u64, _) = (None, 0, Fingerprint::default());
     outputs.stage(target, |temporary| {
@@ -325,117 +330,21 @@ fn one(cloud: &Path, target: &Path, plan: &Plan, identity: Value, args: &CleanAr
         content.file(temporary)
     })?;
     let report = report.context("the cloud was cleaned")?;
-    let mut value = serde_json::to_value(&report)?;
-    value["identity"] = identity;
-    let mut written = vec![target.to_path_buf(), beside(target, "json")];
+    let mut files_written = vec![target.to_path_buf(), beside(target, "json")];
     if !args.no_report {
         outputs.stage_bytes(&beside(target, "html"), page::page(&report).as_bytes())?;
-        written.push(beside(target, "html"));
+        files_written.push(beside(target, "html"));
     }
-    value["files_written"] = written.iter().map(|path| path.to_string_lossy()).collect();
-    value["output_bytes"] = json!(output_bytes);
-    value["output_fingerprint"] = json!(content.hex());
-    outputs.stage_bytes(&beside(target, "json"), serde_json::to_string_pretty(&value)?.as_bytes())?;
+    let written = serde_json::to_value(WrittenReport {
+        report: &report,
+        identity,
+        files_written: files_written.iter().map(|path| path.to_string_lossy().into_owned()).collect(),
+        output_bytes,
+        output_fingerprint: content.hex(),
+    })?;
+    outputs.stage_bytes(&beside(target, "json"), serde_json::to_string_pretty(&written)?.as_bytes())?;
     outputs.commit()?;
-    Ok(value)
-}
-
-/// What an output was made of: the cloud's size and time, the parameters, what the files hold that they name, and the
-/// program.
-fn identity(cloud: &Path, parameters: &Value, steps: &[Step]) -> anyhow::Result<Value> {
-    let metadata = std::fs::metadata(cloud).with_context(|| format!("{}: cannot open it", cloud.display()))?;
-    let time = metadata.modified().ok().and_then(|time| time.duration_since(std::time::UNIX_EPOCH).ok());
-    Ok(json!({
-        "bytes": metadata.len(),
-        "modified_s": time.map(|time| time.as_secs_f64()),
-        "parameters": parameters,
-        "steps": Fingerprint::of(&format!("{steps:?}")).hex(),
-        "program": fingerprint::program(),
-    }))
-}
-
-/// The report of an output that is there and was made of the same.
-fn finished(target: &Path, identity: &Value) -> Option<Value> {
-    let text = bounded::read_to_string(&beside(target, "json"), "a report", bounded::DOCUMENT_BYTES).ok()?;
-    let report: Value = serde_json::from_str(&text).ok()?;
-    let size = std::fs::metadata(target).is_ok_and(|output| report["output_bytes"] == output.len());
-    if !(target.is_file() && size && report["identity"] == *identity) {
-        return None;
-    }
-    let mut content = Fingerprint::default();
-    content.file(target).ok()?;
-    (report["output_fingerprint"] == content.hex()).then_some(report)
-}
-
-/// One document for all clouds: steps with their sums, and each cloud's own.
-fn document(reports: Vec<Value>) -> Value {
-    let mut steps: Vec<Value> = Vec::new();
-    for report in &reports {
-        for (index, step) in report["steps"].as_array().into_iter().flatten().enumerate() {
-            match steps.get_mut(index) {
-                None => steps.push(step.clone()),
-                Some(sum) => {
-                    for key in ["points_in", "classified", "dropped", "ground"] {
-                        if let (Some(a), Some(b)) = (sum[key].as_u64(), step[key].as_u64()) {
-                            sum[key] = json!(a + b);
-                        }
-                    }
-                    sum["seconds"] =
-                        json!(sum["seconds"].as_f64().unwrap_or(0.0) + step["seconds"].as_f64().unwrap_or(0.0));
-                    // Measured over one cloud.
-                    if let Some(sum) = sum.as_object_mut() {
-                        sum.remove("statistics");
-                        sum.remove("greatest_range_m");
-                    }
-                }
-            }
-        }
-    }
-    let total = |key: &str| reports.iter().filter_map(|report| report[key].as_u64()).sum::<u64>();
-    json!({
-        "steps": steps,
-        "points": total("points"),
-        "points_kept": total("points_kept"),
-        "files_written": reports.iter().filter_map(|report| report["files_written"].as_array()).flatten().collect::<Vec<_>>(),
-        "clouds": reports,
-    })
-}
-
-fn print(report: &Value) -> anyhow::Result<()> {
-    let text = |value: &Value| value.as_str().unwrap_or_default().to_string();
-    println!("{}: {} points", text(&report["input"]), report["points"]);
-    let steps = || report["steps"].as_array().into_iter().flatten();
-    for step in steps() {
-        let ground = step["ground"].as_u64().map_or(String::new(), |ground| format!(" {ground:>12} ground"));
-        println!(
-            "  {:<9} {:>12} in {:>12} classified {:>12} dropped{ground}",
-            text(&step["step"]),
-            step["points_in"],
-            step["classified"],
-            step["dropped"]
-        );
-    }
-    println!("  {} points in {}", report["points_kept"], text(&report["output"]));
-    let outside = steps().find(|step| {
-        step["step"] == "crop" && step["points_in"].as_u64() > Some(0) && step["points_in"] == step["classified"]
-    });
-    if outside.is_some() && report["points_kept"] != 0 {
-        eprintln!(
-            "warning: {}: no point lies within --crop, so all are noise now; look at its reference system (cloud info)",
-            text(&report["input"])
-        );
-    }
-    // What went in was dropped whole.
-    let emptied = steps().find(|step| step["points_in"].as_u64() > Some(0) && step["points_in"] == step["dropped"]);
-    if let Some(step) = emptied.filter(|_| report["points_kept"] == 0) {
-        eprintln!(
-            "warning: {}: nothing is left after the step {}; look at its limits and at the cloud's heights and \
-             coordinates (cloud info)",
-            text(&report["input"]),
-            text(&step["step"])
-        );
-    }
-    Ok(())
+    Ok((report, written))
 }
 
 /// All polygons of a vector file, in the reference system of the clouds.

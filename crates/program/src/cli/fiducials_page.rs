@@ -9,9 +9,9 @@ use autoref_film::{
 };
 use autoref_raster::atomic::Existing;
 use autoref_raster::coords::PixelPoint;
-use serde_json::json;
 
-use super::flight::{click, views};
+use super::flight::click::{self, ClickData, ExpectedMark, PointToClick, ShownFrame};
+use super::flight::views;
 
 /// Share of the frame's longer side that the detail shows around the place where a mark is expected.
 const SHOWN_SHARE: f64 = 0.2;
@@ -87,24 +87,21 @@ pub fn write(
     let name = scan.file_name().with_context(|| format!("{}: is no file", scan.display()))?.to_string_lossy();
     let size_px = super::flight::image_size(scan, None)?;
     let shown = views::Grey::plain(folder, &name, click::LARGEST_PX)?;
-    let frames = output.join("click_frames");
+    let frames = output.join(click::SHOWN);
     std::fs::create_dir_all(&frames).with_context(|| format!("{}: cannot create it", frames.display()))?;
     shown.write(&frames.join("0.png"))?;
     let expected = learn::expected(camera, size_px, options);
-    let marks: Vec<_> = expected
-        .iter()
-        .enumerate()
-        .map(|(p, at)| json!({"p": p, "f": 0, "predicted": [at.x, at.y], "at": null}))
-        .collect();
+    let marks = expected.iter().enumerate();
+    let marks = marks.map(|(point, at)| ExpectedMark { point, frame: 0, predicted: Some([at.x, at.y]), at: None });
     let command = format!("autoref-stream fiducials SCANS --camera {named} --learn --at {SAVED}");
-    let data = json!({
-        "frames": [{"name": name, "src": "click_frames/0.png", "width": size_px[0], "height": size_px[1]}],
-        "points": camera.marks.iter().map(|m| json!({"name": m.name})).collect::<Vec<_>>(),
-        "marks": marks,
-        "zoom": DETAIL_PX / (SHOWN_SHARE * size_px[0].max(size_px[1])),
-        "saved": SAVED,
-        "then": command,
-    });
+    let data = ClickData {
+        frames: vec![ShownFrame::of(0, &name, size_px)],
+        points: camera.marks.iter().map(|m| PointToClick { name: m.name.clone() }).collect(),
+        marks: marks.collect(),
+        zoom: Some(DETAIL_PX / (SHOWN_SHARE * size_px[0].max(size_px[1]))),
+        saved: SAVED,
+        then: Some(command),
+    };
     click::write_page(&page, &format!("{name}: marks of {}", camera.name), &data)?;
     Ok(page)
 }

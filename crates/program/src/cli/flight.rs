@@ -21,6 +21,8 @@ mod relative;
 mod runs;
 mod solve;
 mod stage;
+mod stage_documents;
+mod stage_line;
 mod stage_pages;
 mod stages;
 mod ties;
@@ -39,6 +41,8 @@ use autoref_flight::resect::{Focal, ResectOptions, Seen, resect};
 use autoref_flight::{Camera, Error, Parameter};
 use nalgebra::Vector3;
 use serde_json::json;
+
+use document::ResectionDocument;
 
 /// Photographs to cameras: relative orientation, bundle adjustment with GCPs, space resection.
 #[derive(Debug, clap::Args)]
@@ -205,10 +209,11 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     let found = resect(&camera, &seen, &options)?;
     let said = notes.clone();
     notes.extend(plausible::below_ground(std::iter::once(&found.pose), seen.iter().map(|s| &s.xyz), &world));
-    let document = document::resection(&found, &name, (&seen, &checks), (&world, control.crs_label()), notes);
+    let (points, on) = ((&seen[..], &checks[..]), (&world, control.crs_label()));
+    let document = ResectionDocument::of(&found, &name, points, on, notes);
     finish(&document, args.output.as_deref(), args.json)?;
     if !args.json {
-        document::say(&document, &said);
+        document.say(&said);
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -420,7 +425,7 @@ pub(super) fn check_output_in(folder: &Path, path: &Path, existing: Existing) ->
     if folder.is_dir() { check_output(Some(path), existing) } else { Ok(()) }
 }
 
-fn finish(document: &serde_json::Value, output: Option<&Path>, print: bool) -> Result<()> {
+fn finish(document: &impl serde::Serialize, output: Option<&Path>, print: bool) -> Result<()> {
     let text = serde_json::to_string_pretty(document)? + "\n";
     if let Some(path) = output {
         autoref_raster::atomic::write(path, text.as_bytes())?;

@@ -10,7 +10,8 @@ use autoref_elevation::files::AlignJob;
 use autoref_elevation::output;
 use autoref_raster::atomic::Existing;
 use clap::Args;
-use serde_json::{Map, Value, json};
+use serde::Serialize;
+use serde_json::json;
 
 use super::ResourceArgs;
 use crate::cli::values::unsigned_zero;
@@ -81,7 +82,8 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
     };
     found.write(alignment, &args.out)?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&document(args, alignment, &found.couple))?);
+        let document = AlignmentDocument::of(args, alignment, &found.couple);
+        println!("{}", serde_json::to_string_pretty(&document)?);
         return Ok(ExitCode::SUCCESS);
     }
     let [e, n, h] = alignment.shift_m.map(|v| unsigned_zero(v, 4));
@@ -141,11 +143,6 @@ fn warnings(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Vec<String>
     spread.into_iter().chain(unsure).chain(couple.doubtful_units.clone()).chain(zeros).collect()
 }
 
-/// A number, or null where there is none.
-fn number(value: f64) -> Value {
-    serde_json::Number::from_f64(value).map_or(Value::Null, Value::Number)
-}
-
 /// The degree of what is taken out beside the shift.
 fn surface(found: &Alignment) -> &'static str {
     match (&found.bend, &found.tilt) {
@@ -155,54 +152,106 @@ fn surface(found: &Alignment) -> &'static str {
     }
 }
 
-/// The terms above the tilt, each metres · u^east · v^north.
-fn bend(bend: &Bend) -> Value {
-    let term =
-        |t: &BendTerm| json!({ "east": t.east, "north": t.north, "m": number(t.metres), "se_m": number(t.se_m) });
-    json!({
-        "half_e_m": number(bend.half_m.0),
-        "half_n_m": number(bend.half_m.1),
-        "terms": bend.terms.iter().map(term).collect::<Vec<_>>(),
-    })
+/// What was found, as `--json` prints it. A number that is not finite is written as `null`.
+#[derive(Debug, Serialize)]
+struct AlignmentDocument {
+    status: &'static str,
+    method: &'static str,
+    /// What A is moved by.
+    shift_e_m: f64,
+    shift_n_m: f64,
+    shift_h_m: f64,
+    shift_x_px: f64,
+    shift_y_px: f64,
+    /// Of east, north and height.
+    covariance_m2: [[f64; 3]; 3],
+    shift_e_se_m: f64,
+    shift_n_se_m: f64,
+    shift_h_se_m: f64,
+    tilted: bool,
+    tilt_e_mm_per_m: f64,
+    tilt_n_mm_per_m: f64,
+    /// `None` without a tilt.
+    tilt_e_se_mm_per_m: Option<f64>,
+    tilt_n_se_mm_per_m: Option<f64>,
+    surface: &'static str,
+    bend: Option<BendRecord>,
+    /// East and north where the shift in height counts.
+    height_counts_at: (f64, f64),
+    nmad_before_m: f64,
+    nmad_after_m: f64,
+    median_before_m: f64,
+    median_after_m: f64,
+    stable_share: f64,
+    common_cells: u64,
+    iterations: u32,
+    warnings: Vec<String>,
+    resampled: bool,
+    heights: String,
+    output: String,
 }
 
-fn document(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Value {
-    let grid = autoref_elevation::source::Heights::grid(&couple.a);
-    let mut out = Map::new();
-    let mut put = |key: &str, value: Value| {
-        out.insert(key.into(), value);
-    };
-    put("status", "aligned".into());
-    put("method", args.method.name().into());
-    put("shift_e_m", number(found.shift_m[0]));
-    put("shift_n_m", number(found.shift_m[1]));
-    put("shift_h_m", number(found.shift_m[2]));
-    put("shift_x_px", number(found.shift.0 / grid.step_x));
-    put("shift_y_px", number(found.shift.1 / grid.step_y + 0.0));
-    let rows: Vec<Vec<f64>> = (0..3).map(|i| (0..3).map(|j| found.covariance_m2[(i, j)]).collect()).collect();
-    put("covariance_m2", json!(rows));
-    for (i, key) in ["shift_e_se_m", "shift_n_se_m", "shift_h_se_m"].into_iter().enumerate() {
-        put(key, number(found.covariance_m2[(i, i)].max(0.0).sqrt()));
+/// The terms above the tilt, each metres · u^east · v^north; u and v are one at half the extent.
+#[derive(Debug, Serialize)]
+struct BendRecord {
+    half_e_m: f64,
+    half_n_m: f64,
+    terms: Vec<TermRecord>,
+}
+
+#[derive(Debug, Serialize)]
+struct TermRecord {
+    east: usize,
+    north: usize,
+    m: f64,
+    se_m: f64,
+}
+
+impl BendRecord {
+    fn of(bend: &Bend) -> Self {
+        let term = |t: &BendTerm| TermRecord { east: t.east, north: t.north, m: t.metres, se_m: t.se_m };
+        let (half_e_m, half_n_m) = bend.half_m;
+        BendRecord { half_e_m, half_n_m, terms: bend.terms.iter().map(term).collect() }
     }
-    put("tilted", found.tilt.is_some().into());
-    let tilt = found.tilt.as_ref();
-    put("tilt_e_mm_per_m", number(tilt.map_or(0.0, |t| 1e3 * t.east)));
-    put("tilt_n_mm_per_m", number(tilt.map_or(0.0, |t| 1e3 * t.north)));
-    put("tilt_e_se_mm_per_m", tilt.map_or(Value::Null, |t| number(1e3 * t.east_se)));
-    put("tilt_n_se_mm_per_m", tilt.map_or(Value::Null, |t| number(1e3 * t.north_se)));
-    put("surface", surface(found).into());
-    put("bend", found.bend.as_ref().map_or(Value::Null, bend));
-    put("height_counts_at", json!([found.centre.0, found.centre.1]));
-    put("nmad_before_m", number(found.nmad_before_m));
-    put("nmad_after_m", number(found.nmad_after_m));
-    put("median_before_m", number(found.median_before_m));
-    put("median_after_m", number(found.median_after_m));
-    put("stable_share", number(found.stable_share));
-    put("common_cells", found.common_cells.into());
-    put("iterations", found.iterations.into());
-    put("warnings", json!(warnings(args, found, couple)));
-    put("resampled", couple.projected.into());
-    put("heights", couple.heights.to_string().into());
-    put("output", args.out.display().to_string().into());
-    Value::Object(out)
+}
+
+impl AlignmentDocument {
+    fn of(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Self {
+        let grid = autoref_elevation::source::Heights::grid(&couple.a);
+        let [shift_e_m, shift_n_m, shift_h_m] = found.shift_m;
+        let [shift_e_se_m, shift_n_se_m, shift_h_se_m] = [0, 1, 2].map(|i| found.covariance_m2[(i, i)].max(0.0).sqrt());
+        let tilt = found.tilt.as_ref();
+        AlignmentDocument {
+            status: "aligned",
+            method: args.method.name(),
+            shift_e_m,
+            shift_n_m,
+            shift_h_m,
+            shift_x_px: found.shift.0 / grid.step_x,
+            shift_y_px: found.shift.1 / grid.step_y + 0.0,
+            covariance_m2: std::array::from_fn(|i| std::array::from_fn(|j| found.covariance_m2[(i, j)])),
+            shift_e_se_m,
+            shift_n_se_m,
+            shift_h_se_m,
+            tilted: tilt.is_some(),
+            tilt_e_mm_per_m: tilt.map_or(0.0, |t| 1e3 * t.east),
+            tilt_n_mm_per_m: tilt.map_or(0.0, |t| 1e3 * t.north),
+            tilt_e_se_mm_per_m: tilt.map(|t| 1e3 * t.east_se),
+            tilt_n_se_mm_per_m: tilt.map(|t| 1e3 * t.north_se),
+            surface: surface(found),
+            bend: found.bend.as_ref().map(BendRecord::of),
+            height_counts_at: found.centre,
+            nmad_before_m: found.nmad_before_m,
+            nmad_after_m: found.nmad_after_m,
+            median_before_m: found.median_before_m,
+            median_after_m: found.median_after_m,
+            stable_share: found.stable_share,
+            common_cells: found.common_cells,
+            iterations: found.iterations,
+            warnings: warnings(args, found, couple),
+            resampled: couple.projected,
+            heights: couple.heights.to_string(),
+            output: args.out.display().to_string(),
+        }
+    }
 }

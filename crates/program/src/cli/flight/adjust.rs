@@ -13,7 +13,8 @@ use autoref_raster::atomic::Existing;
 use autoref_raster::crs::Crs;
 use nalgebra::Vector3;
 
-use super::{camera_tables, check_output, check_sigmas, document, finish, footprints, interior, lists, plausible};
+use super::document::CamerasDocument;
+use super::{camera_tables, check_output, check_sigmas, finish, footprints, interior, lists, plausible};
 use crate::cli::progress::Steps;
 
 /// Bring a reconstruction (COLMAP, MicMac, OpenSfM, cameras.json) to the ground by bundle adjustment with GCPs or
@@ -239,10 +240,10 @@ pub fn run(args: &AdjustArgs) -> Result<ExitCode> {
     let (poses, ground) = (found.photographs.iter().map(|p| &p.pose), points.iter().map(|p| &p.xyz));
     found.notes.extend(plausible::below_ground(poses, ground, &world));
     let listed = model.photographs.len();
-    let document = document::adjustment(&found, &model, &world, listed, control.crs_label());
+    let document = CamerasDocument::of(&found, &model, &world, listed, control.crs_label());
     finish(&document, args.output.as_deref(), args.json)?;
     if !args.json {
-        document::say(&document, &said);
+        document.say(&said);
     }
     Ok(ExitCode::SUCCESS)
 }

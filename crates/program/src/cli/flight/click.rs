@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Error, Pose, read};
 use autoref_raster::atomic::{self, Existing};
-use serde_json::{Value, json};
+use serde::Serialize;
 
 use super::project::{OrderedFrames, Project, ordered_frames, point_args, read_project};
 use super::{check_output_in, frames, image_size, lists, runs, views};
@@ -37,7 +37,7 @@ pub struct ClickArgs {
 type Thought = Vec<Option<(Pose, Camera)>>;
 
 /// The folder of the frames as the page shows them.
-const SHOWN: &str = "click_frames";
+pub const SHOWN: &str = "click_frames";
 
 pub fn click(args: &ClickArgs) -> Result<ExitCode> {
     let page = args.output.join("click.html");
@@ -67,32 +67,85 @@ pub fn click(args: &ClickArgs) -> Result<ExitCode> {
     for (i, name) in names.iter().enumerate() {
         views::Grey::plain(&folder, name, LARGEST_PX)?.write(&shown.join(format!("{i}.png")))?;
     }
-    let data = json!({
-        "frames": names.iter().enumerate().map(|(i, name)| json!({
-            "name": name, "src": format!("{SHOWN}/{i}.png"), "width": size_px[0], "height": size_px[1],
-        })).collect::<Vec<Value>>(),
-        "points": control.points.iter().map(|p| json!({"name": p.name})).collect::<Vec<Value>>(),
-        "marks": marks(&control, &names, &thought, &world),
-        "saved": "observations.csv",
-    });
+    let data = ClickData {
+        frames: names.iter().enumerate().map(|(i, name)| ShownFrame::of(i, name, size_px)).collect(),
+        points: control.points.iter().map(|p| PointToClick { name: p.name.clone() }).collect(),
+        marks: marks(&control, &names, &thought, &world),
+        zoom: None,
+        saved: "observations.csv",
+        then: None,
+    };
     let title = args.project.file_stem().unwrap_or_default().to_string_lossy();
     write_page(&page, &format!("{title}: GCPs on frames"), &data)?;
     println!("{}", page.display());
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the page: `frames` (`name`, `src`, `width`, `height` in pixels of the file), `points` (`name`) and `marks`
-/// (`p`, `f`, `predicted`, `at`). With `zoom`, pixels of the screen for one of the frame, points are clicked in turn: a
-/// click in the detail first enlarges, then places and goes on. `saved` is the file's name, `then` what to do with it.
-pub fn write_page(page: &Path, title: &str, data: &Value) -> Result<()> {
+/// What the page shows, and asks for.
+#[derive(Debug, Serialize)]
+pub struct ClickData {
+    pub frames: Vec<ShownFrame>,
+    pub points: Vec<PointToClick>,
+    pub marks: Vec<ExpectedMark>,
+    /// Pixels of the screen for one of the frame. With it, points are clicked in turn: a click in the detail first
+    /// enlarges, then places and goes on.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub zoom: Option<f64>,
+    /// Name of the file that the page saves.
+    pub saved: &'static str,
+    /// What to do with that file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub then: Option<String>,
+}
+
+/// A frame and its picture beside the page; width and height in pixels of the frame's file.
+#[derive(Debug, Serialize)]
+pub struct ShownFrame {
+    name: String,
+    src: String,
+    width: f64,
+    height: f64,
+}
+
+/// A point that is to be clicked.
+#[derive(Debug, Serialize)]
+pub struct PointToClick {
+    pub name: String,
+}
+
+/// A point in a frame, pixels: where it is to be expected, and where it was measured already.
+#[derive(Debug, Serialize)]
+pub struct ExpectedMark {
+    /// Its number in the list of points.
+    #[serde(rename = "p")]
+    pub point: usize,
+    /// Its number in the list of frames.
+    #[serde(rename = "f")]
+    pub frame: usize,
+    pub predicted: Option<[f64; 2]>,
+    pub at: Option<[f64; 2]>,
+}
+
+impl ShownFrame {
+    /// The frame of this number in the folder [`SHOWN`].
+    pub fn of(number: usize, name: &str, [width, height]: [f64; 2]) -> Self {
+        ShownFrame { name: name.into(), src: format!("{SHOWN}/{number}.png"), width, height }
+    }
+}
+
+/// Writes the page.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_page(page: &Path, title: &str, data: &ClickData) -> Result<()> {
     // Nothing in the data ends the script that holds it.
-    let data = data.to_string().replace('<', "\\u003c");
+    let data = serde_json::to_string(data)?.replace('<', "\\u003c");
     let text = PAGE.replace("@@TITLE@@", &escaped(title)).replace("@@DATA@@", &data);
     Ok(atomic::write(page, text.as_bytes())?)
 }
 
 /// Points in frames where they were measured or are to be expected.
-fn marks(control: &lists::Control, names: &[String], thought: &Thought, world: &World) -> Vec<Value> {
+fn marks(control: &lists::Control, names: &[String], thought: &Thought, world: &World) -> Vec<ExpectedMark> {
     let mut all = Vec::new();
     for (p, point) in control.points.iter().enumerate() {
         let at = world.to_world(point.xyz);
@@ -103,7 +156,7 @@ fn marks(control: &lists::Control, names: &[String], thought: &Thought, world: &
             let known = || names.iter().map(String::as_str);
             let seen = point.seen.iter().find(|(image, _)| read::same_image(image, known()) == Some(f));
             if predicted.is_some() || seen.is_some() {
-                all.push(json!({"p": p, "f": f, "predicted": predicted, "at": seen.map(|s| s.1)}));
+                all.push(ExpectedMark { point: p, frame: f, predicted, at: seen.map(|s| s.1) });
             }
         }
     }

@@ -15,6 +15,7 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use super::camera_tables;
+use super::document::{FrameDifference, RoughDifferences};
 
 /// Points to a side of a frame.
 const SIDE: usize = 12;
@@ -23,7 +24,12 @@ const FARTHEST_HEIGHTS: f64 = 15.0;
 
 /// Camera − table, by frame and together: Δx, Δy, Δz with their signs, and d = √(Δx² + Δy² + Δz²) (thesis of 2017,
 /// equation 9.2, which prints the sizes alone).
-pub fn rough_differences(found: &Adjustment, model: &Reconstruction, rows: &[CameraRow], world: &World) -> Value {
+pub fn rough_differences(
+    found: &Adjustment,
+    model: &Reconstruction,
+    rows: &[CameraRow],
+    world: &World,
+) -> RoughDifferences {
     let mut all = Vec::new();
     let mut frames = Vec::new();
     for camera in &found.photographs {
@@ -31,14 +37,13 @@ pub fn rough_differences(found: &Adjustment, model: &Reconstruction, rows: &[Cam
         let row = rows.iter().find(|r| same_image(&r.name, std::iter::once(name.as_str())).is_some());
         let (Some(row), Some(at)) = (row, world.to_map(&camera.pose.centre)) else { continue };
         let by = world.metres_of(std::array::from_fn(|a| at[a] - row.xyz[a]));
-        let d = Vector3::from(by).norm();
         let turn_deg = camera_tables::rough_pose(row, world, 1.0, 1.0).and_then(|rough| turn_deg(&camera.pose, &rough));
-        frames.push(json!({
-            "name": name, "x_m": by[0], "y_m": by[1], "z_m": by[2], "d_m": d, "turn_deg": turn_deg, "line": row.line,
-        }));
+        let [x_m, y_m, z_m] = by;
+        let (name, d_m, line) = (name.clone(), Vector3::from(by).norm(), row.line.clone());
+        frames.push(FrameDifference { name, x_m, y_m, z_m, d_m, turn_deg, line });
         all.push(by);
     }
-    json!({"frames": frames, "statistics": Residuals::of(&all)})
+    RoughDifferences { frames, statistics: Residuals::of(&all) }
 }
 
 /// The turn between a camera and what the table says of it; `None` where the table has no direction.

@@ -2,10 +2,11 @@
 
 use std::fmt::Write;
 
-use serde_json::Value;
-
-use crate::cli::values::unsigned_zero;
+use autoref_flight::statistics::Residuals;
 use autoref_raster::markup::{escaped, page_head};
+
+use super::document::{BlockCamera, CamerasDocument, FrameDifference, PointRecord};
+use crate::cli::values::unsigned_zero;
 
 pub const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:64rem;padding:0 1rem;color:#222}\
     table{border-collapse:collapse;margin:.5rem 0 1.5rem;display:block;overflow-x:auto}td,th{padding:.2rem .7rem;border-bottom:1px solid #ccc;text-align:right}\
@@ -18,41 +19,40 @@ const TABLE: &str = "#7d3c98";
 pub const CONTROL: &str = "#1f618d";
 pub const CHECK: &str = "#c0392b";
 
-pub fn fixed(value: &Value, digits: usize) -> String {
-    value.as_f64().map_or("–".into(), |v| format!("{:.digits$}", unsigned_zero(v, digits as i32)))
+/// A dash for what is not known.
+pub fn fixed(value: impl Into<Option<f64>>, digits: usize) -> String {
+    let known = value.into().filter(|v| v.is_finite());
+    known.map_or("–".into(), |v| format!("{:.digits$}", unsigned_zero(v, digits as i32)))
 }
 
-pub fn rows<'a>(document: &'a Value, key: &str) -> &'a [Value] {
-    document[key].as_array().map_or(&[], Vec::as_slice)
-}
-
-pub fn name(value: &Value) -> String {
-    escaped(value["name"].as_str().unwrap_or_default())
+/// A place, or a difference of two, whose parts are both known.
+pub fn known(place: [f64; 2]) -> Option<[f64; 2]> {
+    place.iter().all(|v| v.is_finite()).then_some(place)
 }
 
 /// The page of a document of `flight solve`.
-pub fn page(document: &Value, title: &str) -> String {
+pub fn page(document: &CamerasDocument, title: &str) -> String {
     let mut out = page_head(title, STYLE);
     let _ = write!(
         out,
         "<h1>{}</h1><p>{} of {} frames registered. Ties: {}, {} px RMS. Surveyed points: {}. CRS: {}.</p>",
         escaped(title),
-        document["frames_registered"],
-        document["frames_listed"],
-        document["ties"],
-        fixed(&document["reprojection_rms_px"], 2),
-        rows(document, "gcps").len() + rows(document, "check_points").len(),
-        escaped(document["crs"].as_str().unwrap_or_default())
+        document.frames_registered,
+        document.frames_listed,
+        document.ties,
+        fixed(document.reprojection_rms_px, 2),
+        document.gcps.len() + document.check_points.len(),
+        escaped(&document.crs)
     );
     out += "<p><a href=\"stages/index.html\">All stages</a></p>";
-    for note in rows(document, "notes").iter().filter_map(Value::as_str) {
+    for note in &document.notes {
         let _ = write!(out, "<p>{}</p>", escaped(note));
     }
-    for blunder in rows(document, "blunders") {
-        let of = |key: &str| escaped(blunder[key].as_str().unwrap_or_default());
-        let place = if blunder["frame"].is_null() { "on the ground".into() } else { format!("in {}", of("frame")) };
-        let test = fixed(&blunder["test"], 1);
-        let _ = write!(out, "<p class=\"bad\">{} {place} is wrong: {test} standard deviations.</p>", of("gcp"));
+    for blunder in &document.blunders {
+        let in_frame = blunder.frame.as_ref().map(|frame| format!("in {}", escaped(frame)));
+        let place = in_frame.unwrap_or("on the ground".into());
+        let (gcp, test) = (escaped(&blunder.gcp), fixed(blunder.test, 1));
+        let _ = write!(out, "<p class=\"bad\">{gcp} {place} is wrong: {test} standard deviations.</p>");
     }
     map(&mut out, document);
     statistics(&mut out, document);
@@ -73,10 +73,6 @@ impl Frame {
     fn at(&self, p: [f64; 2]) -> [f64; 2] {
         [(p[0] - self.left) * self.px_per_m, (self.top - p[1]) * self.px_per_m]
     }
-}
-
-fn place(value: &Value) -> Option<[f64; 2]> {
-    Some([value["e"].as_f64()?, value["n"].as_f64()?])
 }
 
 /// A round number of metres, not above.
@@ -108,13 +104,15 @@ fn arrow(out: &mut String, from: [f64; 2], by: [f64; 2], colour: &str) {
     );
 }
 
-fn map(out: &mut String, document: &Value) {
-    let cameras: Vec<[f64; 2]> = rows(document, "cameras").iter().filter_map(place).collect();
-    let points: Vec<(&Value, &str)> = [("gcps", CONTROL), ("check_points", CHECK)]
+fn map(out: &mut String, document: &CamerasDocument) {
+    let of_camera = |c: &BlockCamera| known([c.camera.e, c.camera.n]);
+    let of_point = |p: &PointRecord| known([p.e, p.n]);
+    let points: Vec<(&PointRecord, &str)> = [(&document.gcps, CONTROL), (&document.check_points, CHECK)]
         .iter()
-        .flat_map(|(key, colour)| rows(document, key).iter().map(move |p| (p, *colour)))
+        .flat_map(|(points, colour)| points.iter().map(move |p| (p, *colour)))
         .collect();
-    let everything: Vec<[f64; 2]> = cameras.iter().copied().chain(points.iter().filter_map(|p| place(p.0))).collect();
+    let cameras = document.cameras.iter().filter_map(of_camera);
+    let everything: Vec<[f64; 2]> = cameras.chain(points.iter().filter_map(|p| of_point(p.0))).collect();
     let span = |a: usize| {
         let low = everything.iter().map(|p| p[a]).fold(f64::INFINITY, f64::min);
         (low, everything.iter().map(|p| p[a]).fold(f64::NEG_INFINITY, f64::max))
@@ -128,32 +126,34 @@ fn map(out: &mut String, document: &Value) {
     let size_m = [east - west + 2.0 * border, north - south + 2.0 * border];
     let frame = Frame { left: west - border, top: north + border, px_per_m: MAP_PX / size_m[0].max(size_m[1]) };
     let [width, height] = size_m.map(|s| s * frame.px_per_m);
-    let longest = |lengths: &mut dyn Iterator<Item = f64>| lengths.fold(0.0, f64::max);
+    let longest = |lengths: &mut dyn Iterator<Item = f64>| lengths.filter(|d| d.is_finite()).fold(0.0, f64::max);
     // The longest arrow of a kind takes a twelfth of the map.
     let arm_px = MAP_PX / 12.0;
-    let differences = rows(&document["rough_differences"], "frames");
-    let moved = longest(&mut differences.iter().filter_map(|d| d["d_m"].as_f64()));
-    let residual = longest(&mut points.iter().filter_map(|p| p.0["d_m"].as_f64()));
+    let differences = differences(document);
+    let moved = longest(&mut differences.iter().map(|d| d.d_m));
+    let residual = longest(&mut points.iter().filter_map(|p| p.0.d_m));
     let scale = |most: f64| if most > 0.0 { arm_px / most } else { 0.0 };
     let _ = write!(
         out,
         "<h2>Map</h2><svg viewBox=\"0 0 {width:.0} {height:.0}\" width=\"{width:.0}\" height=\"{height:.0}\" role=\"img\" \
          aria-label=\"Cameras and surveyed points\">"
     );
-    for camera in rows(document, "cameras") {
-        let (Some(at), Some(yaw)) = (place(camera).map(|p| frame.at(p)), camera["yaw_deg"].as_f64()) else { continue };
-        camera_mark(out, at, yaw, &name(camera));
-        let by = differences.iter().find(|d| d["name"] == camera["name"]);
-        if let Some((x, y)) = by.and_then(|d| Some((d["x_m"].as_f64()?, d["y_m"].as_f64()?))) {
+    for camera in &document.cameras {
+        let (Some(at), yaw_deg) = (of_camera(camera).map(|p| frame.at(p)), camera.camera.yaw_deg) else { continue };
+        if !yaw_deg.is_finite() {
+            continue;
+        }
+        camera_mark(out, at, yaw_deg, &escaped(&camera.camera.name));
+        let by = differences.iter().find(|d| d.name == camera.camera.name);
+        if let Some([x, y]) = by.and_then(|d| known([d.x_m, d.y_m])) {
             let by = [x, -y].map(|v| v * scale(moved));
             arrow(out, [at[0] - by[0], at[1] - by[1]], by, TABLE);
         }
     }
     for (point, colour) in &points {
-        let Some(at) = place(point).map(|p| frame.at(p)) else { continue };
-        point_mark(out, at, &name(point), colour);
-        let by = &point["residual_m"];
-        if let (Some(x), Some(y)) = (by[0].as_f64(), by[1].as_f64()) {
+        let Some(at) = of_point(point).map(|p| frame.at(p)) else { continue };
+        point_mark(out, at, &escaped(&point.name), colour);
+        if let Some([x, y]) = point.residual_m.and_then(|[x, y, _]| known([x, y])) {
             arrow(out, at, [x, -y].map(|v| v * scale(residual)), colour);
         }
     }
@@ -214,25 +214,29 @@ fn point_mark(out: &mut String, at: [f64; 2], name: &str, colour: &str) {
     );
 }
 
-fn statistics(out: &mut String, document: &Value) {
+/// Camera − rough table of every frame that the table has.
+fn differences(document: &CamerasDocument) -> &[FrameDifference] {
+    document.rough_differences.as_ref().map_or(&[], |differences| &differences.frames)
+}
+
+fn statistics(out: &mut String, document: &CamerasDocument) {
     let all = [
-        ("control points", &document["gcp_statistics"]),
-        ("check points", &document["check_point_statistics"]),
-        ("cameras − rough table", &document["rough_differences"]["statistics"]),
+        ("control points", document.gcp_statistics),
+        ("check points", document.check_point_statistics),
+        ("cameras − rough table", document.rough_differences.as_ref().and_then(|differences| differences.statistics)),
     ];
     *out += "<h2>Residuals, metres</h2><table><tr><th></th><th>n</th><th></th><th>max</th><th>min</th><th>mean</th><th>SD</th><th>RMS</th></tr>";
-    let lines = rows(document, "lines");
-    let names: Vec<String> = lines.iter().map(|line| format!("control points of line {}", name(line))).collect();
-    let of_lines = names.iter().map(String::as_str).zip(lines.iter().map(|line| &line["gcp_statistics"]));
+    let lines = document.lines.as_deref().unwrap_or_default();
+    let names: Vec<String> = lines.iter().map(|l| format!("control points of line {}", escaped(&l.name))).collect();
+    let of_lines = names.iter().map(String::as_str).zip(lines.iter().map(|line| line.gcp_statistics));
     // Of one line they are those of all.
     let of_lines = of_lines.filter(|_| lines.len() > 1);
-    for (what, of) in all.into_iter().chain(of_lines).filter(|(_, of)| of.is_object()) {
-        for (i, axis) in ["x", "y", "z", "d"].iter().enumerate() {
-            let (what, n) = if i == 0 { (what, of["n"].to_string()) } else { ("", String::new()) };
+    for (what, of) in all.into_iter().chain(of_lines) {
+        let Some(Residuals { n, x, y, z, d }) = of else { continue };
+        for (i, (axis, of)) in [("x", x), ("y", y), ("z", z), ("d", d)].into_iter().enumerate() {
+            let (what, n) = if i == 0 { (what, n.to_string()) } else { ("", String::new()) };
             let _ = write!(out, "<tr><td>{what}</td><td>{n}</td><td>{axis}</td>");
-            for key in ["max", "min", "mean", "sd", "rms"] {
-                let _ = write!(out, "<td>{}</td>", fixed(&of[axis][key], 2));
-            }
+            cells(out, [of.max, of.min, of.mean, of.sd, of.rms].map(|v| fixed(v, 2)));
             *out += "</tr>";
         }
     }
@@ -248,14 +252,16 @@ fn five(values: &[f64]) -> [f64; 5] {
     })
 }
 
-fn boxes(out: &mut String, document: &Value) {
-    let frames = rows(&document["rough_differences"], "frames");
-    let series: Vec<(&str, Vec<f64>)> = ["x_m", "y_m", "z_m", "d_m"]
-        .iter()
-        .map(|key| {
-            let mut values: Vec<f64> = frames.iter().filter_map(|f| f[key].as_f64()).collect();
+fn boxes(out: &mut String, document: &CamerasDocument) {
+    let frames = differences(document);
+    let of: [(&str, fn(&FrameDifference) -> f64); 4] =
+        [("x", |f| f.x_m), ("y", |f| f.y_m), ("z", |f| f.z_m), ("d", |f| f.d_m)];
+    let series: Vec<(&str, Vec<f64>)> = of
+        .into_iter()
+        .map(|(axis, of)| {
+            let mut values: Vec<f64> = frames.iter().map(of).filter(|v| v.is_finite()).collect();
             values.sort_by(f64::total_cmp);
-            (key.trim_end_matches("_m"), values)
+            (axis, values)
         })
         .filter(|(_, values)| !values.is_empty())
         .collect();
@@ -292,43 +298,47 @@ fn boxes(out: &mut String, document: &Value) {
     *out += "</svg><p>Box: middle half; line: median; whiskers: least and most.</p>";
 }
 
+/// Names of a pair's frames.
+pub fn both(frames: &[String; 2]) -> String {
+    frames.each_ref().map(|name| escaped(name)).join(" – ")
+}
+
 pub fn cells<const N: usize>(out: &mut String, texts: [String; N]) {
     for text in texts {
         let _ = write!(out, "<td>{text}</td>");
     }
 }
 
-fn tables(out: &mut String, document: &Value) {
+fn tables(out: &mut String, document: &CamerasDocument) {
     *out += "<h2>Cameras</h2><table><tr><th>frame</th><th>e</th><th>n</th><th>h</th><th>σ e, n, h (m)</th><th>yaw</th><th>pitch</th><th>roll (°)</th><th>ties</th><th>RMS (px)</th></tr>";
-    for c in rows(document, "cameras") {
-        let sigma: Vec<String> = ["sigma_e", "sigma_n", "sigma_h"].iter().map(|k| fixed(&c[k], 1)).collect();
-        let _ = write!(out, "<tr><td>{}</td>", name(c));
-        cells(out, ["e", "n", "h"].map(|k| fixed(&c[k], 1)));
-        cells(out, [sigma.join(", ")]);
-        cells(out, ["yaw_deg", "pitch_deg", "roll_deg"].map(|k| fixed(&c[k], 2)));
-        let _ = write!(out, "<td>{}</td><td>{}</td></tr>", c["ties"], fixed(&c["rms_px"], 2));
+    for BlockCamera { camera: c, rms_px, ties } in &document.cameras {
+        let sigmas = c.deviations.as_ref().map(|d| [d.sigma_e, d.sigma_n, d.sigma_h]);
+        let _ = write!(out, "<tr><td>{}</td>", escaped(&c.name));
+        cells(out, [c.e, c.n, c.h].map(|v| fixed(v, 1)));
+        cells(out, [[0, 1, 2].map(|i| fixed(sigmas.map(|s| s[i]), 1)).join(", ")]);
+        cells(out, [c.yaw_deg, c.pitch_deg, c.roll_deg].map(|v| fixed(v, 2)));
+        let _ = write!(out, "<td>{ties}</td><td>{}</td></tr>", fixed(*rms_px, 2));
     }
     *out += "</table>";
-    for (key, title) in [("gcps", "Control points"), ("check_points", "Check points")] {
-        if rows(document, key).is_empty() {
+    for (points, title) in [(&document.gcps, "Control points"), (&document.check_points, "Check points")] {
+        if points.is_empty() {
             continue;
         }
         let _ = write!(
             out,
             "<h2>{title}</h2><table><tr><th>point</th><th>x</th><th>y</th><th>z</th><th>d (m)</th><th>frames</th></tr>"
         );
-        for p in rows(document, key) {
-            let _ = write!(out, "<tr><td>{}</td>", name(p));
-            cells(out, [0, 1, 2].map(|a| fixed(&p["residual_m"][a], 2)));
-            let _ = write!(out, "<td>{}</td><td>{}</td></tr>", fixed(&p["d_m"], 2), rows(p, "images").len());
+        for p in points {
+            let _ = write!(out, "<tr><td>{}</td>", escaped(&p.name));
+            cells(out, [0, 1, 2].map(|a| fixed(p.residual_m.map(|r| r[a]), 2)));
+            let _ = write!(out, "<td>{}</td><td>{}</td></tr>", fixed(p.d_m, 2), p.images.len());
         }
         *out += "</table>";
     }
-    if !rows(document, "pairs").is_empty() {
+    if let Some(pairs) = document.pairs.as_ref().filter(|pairs| !pairs.is_empty()) {
         *out += "<h2>Ties of pairs</h2><table><tr><th>frames</th><th>ties</th></tr>";
-        for p in rows(document, "pairs") {
-            let of = |k: usize| escaped(p["frames"][k].as_str().unwrap_or_default());
-            let _ = write!(out, "<tr><td>{} – {}</td><td>{}</td></tr>", of(0), of(1), p["ties"]);
+        for p in pairs {
+            let _ = write!(out, "<tr><td>{}</td><td>{}</td></tr>", both(&p.frames), p.ties);
         }
         *out += "</table>";
     }
@@ -337,6 +347,7 @@ fn tables(out: &mut String, document: &Value) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::flight::document::CameraRecord;
 
     #[test]
     fn quartiles_are_those_of_numpy() {
@@ -346,11 +357,16 @@ mod tests {
 
     #[test]
     fn names_are_text_in_the_page() {
-        let document = serde_json::json!({
-            "frames_registered": 1, "frames_listed": 1, "crs": "local", "ties": 3, "notes": ["<i>"],
-            "cameras": [{"name": "<b>", "e": 0.0, "n": 0.0, "h": 1.0, "yaw_deg": 3.0}],
-            "gcps": [{"name": "a&b", "e": 10.0, "n": 20.0, "residual_m": [1.0, 2.0, 2.0], "d_m": 3.0}],
-        });
+        let camera = CameraRecord { name: "<b>".into(), h: 1.0, yaw_deg: 3.0, ..CameraRecord::default() };
+        let (residual_m, d_m) = (Some([1.0, 2.0, 2.0]), Some(3.0));
+        let gcp = PointRecord { name: "a&b".into(), e: 10.0, n: 20.0, residual_m, d_m, ..PointRecord::default() };
+        let document = CamerasDocument {
+            crs: "local".into(),
+            notes: vec!["<i>".into()],
+            cameras: vec![BlockCamera { camera, ..BlockCamera::default() }],
+            gcps: vec![gcp],
+            ..CamerasDocument::default()
+        };
         let page = page(&document, "x");
         assert!(
             page.contains("&lt;b&gt;") && page.contains("a&amp;b") && !page.contains("<b>") && !page.contains("<i>")

@@ -8,9 +8,8 @@ use autoref_flight::world::World;
 use autoref_flight::{Camera, Pose};
 use autoref_raster::crs::Crs;
 use autoref_raster::words::some_of;
-use serde::Serialize;
 
-use super::document::in_map;
+use super::document::{LineRecord, in_map};
 use super::project::Project;
 use super::relative::{Flight, GroundPlane};
 use super::ties::PairTies;
@@ -133,36 +132,26 @@ pub fn untied(plan: &Plan, names: &[&str], tied: &[PairTies]) -> Option<String> 
     ))
 }
 
-/// A line of the flight: its frames, and the residuals of the GCPs and check points that they show, as Table 9.1 of the
-/// thesis of 2017 has them.
-#[derive(Debug, Serialize)]
-pub struct LineResult<'a> {
-    name: &'a str,
-    frames: Vec<&'a str>,
-    gcp_statistics: Option<Residuals>,
-    check_point_statistics: Option<Residuals>,
-}
-
 /// What an adjustment leaves of each line.
-pub fn results<'a>(
-    lines: &'a [Line],
-    names: &[&'a str],
+pub fn results(
+    lines: &[Line],
+    names: &[&str],
     (found, model): (&Adjustment, &Reconstruction),
     world: &World,
-) -> Vec<LineResult<'a>> {
+) -> Vec<LineRecord> {
     let residuals = |role: Role, frames: &[&str]| {
         let in_line = |i: usize| frames.contains(&model.photographs[i].name.as_str());
         let points = found.points.iter().filter(|p| p.role == role && p.image.iter().any(|(i, _)| in_line(*i)));
         let all = points.filter_map(|p| Some(in_map(world, &p.xyz, &p.residual?)));
         Residuals::of(&all.filter(|r| r.iter().all(|v| v.is_finite())).collect::<Vec<_>>())
     };
-    let of = |line: &'a Line| {
+    let of = |line: &Line| {
         let frames: Vec<&str> = line.frames.iter().map(|i| names[*i]).collect();
-        LineResult {
-            name: &line.name,
+        LineRecord {
+            name: line.name.clone(),
             gcp_statistics: residuals(Role::Control, &frames),
             check_point_statistics: residuals(Role::Check, &frames),
-            frames,
+            frames: frames.into_iter().map(str::to_string).collect(),
         }
     };
     lines.iter().map(of).collect()

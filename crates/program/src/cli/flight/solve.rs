@@ -9,8 +9,8 @@ use autoref_flight::adjust::{AdjustOptions, GroundPoint, RoughPose, adjust, on_g
 use autoref_flight::read::{Reconstruction, colmap, tables};
 use autoref_flight::world::World;
 use autoref_raster::atomic;
-use serde_json::{Value, json};
 
+use super::document::CamerasDocument;
 use super::engine::Program;
 use super::project::{
     OrderedFrames, Project, absolute, default_ground_m, default_image_px, ordered_frames, point_args, read_project,
@@ -18,11 +18,11 @@ use super::project::{
 use super::refine::refined;
 use super::relative::{Flight, GroundPlane, MadeBy, Oriented};
 use super::stage::Stage;
-use super::stages::{self, After, Record};
+use super::stage_documents::{Found, GcpStage, InteriorStage, PairsStage, RelativeStage, TiesStage};
+use super::stages::{After, Record};
 use super::ties::PairTies;
 use super::{
-    camera_tables, document, footprints, frames, image_size, interior, lists, micmac, page, plausible, runs,
-    stage_pages,
+    camera_tables, footprints, frames, image_size, interior, lists, micmac, page, plausible, runs, stage_pages,
 };
 use crate::cli::progress::Steps;
 
@@ -96,11 +96,11 @@ struct Ready<'a> {
 
 pub fn solve(args: &SolveArgs) -> Result<ExitCode> {
     let ready = Ready::of(args)?;
-    let document = ready.work()?;
+    let found = ready.work()?;
     if args.json {
-        crate::out::product(&(serde_json::to_string_pretty(&document)? + "\n"));
-    } else if args.until == Stage::Cameras {
-        document::say(&document, &[]);
+        crate::out::product(&(serde_json::to_string_pretty(&found)? + "\n"));
+    } else if let Found::Cameras(document) = &found {
+        document.say(&[]);
         println!("{}", ready.out.join("cameras.json").display());
     } else {
         println!("{}", ready.record.page(args.until).display());
@@ -183,7 +183,7 @@ impl<'a> Ready<'a> {
     }
 
     /// All stages up to the one asked for; what the last of them found.
-    fn work(&self) -> Result<Value> {
+    fn work(&self) -> Result<Found> {
         let (project, record) = (&self.project, &self.record);
         let OrderedFrames { folder, masks, names, rows } = &self.frames;
         let flight = Flight {
@@ -198,23 +198,23 @@ impl<'a> Ready<'a> {
             engine: self.args.engine.of_colmap().unwrap_or(Program::Colmap),
             near: Vec::new(),
         };
-        let found = stages::interior(&flight, self.listed, &self.left_out);
+        let found = InteriorStage::of(&flight, self.listed, &self.left_out);
         let page = stage_pages::interior(&found, &record.pictures(flight.size_px));
         if record.put(Stage::Interior, &found, &page)? == After::Ends {
-            return Ok(found);
+            return Ok(Found::Interior(found));
         }
 
         let plane = self.control.as_ref().and_then(|known| ground_plane(project, known, rows, &flight));
         let plan = runs::plan(project, &flight.ordered, rows, plane.as_ref().map(|p| (p, &flight)));
-        let found = stages::pairs(&plan, &flight.ordered);
+        let found = PairsStage::of(&plan, &flight.ordered);
         if record.put(Stage::Pairs, &found, &stage_pages::pairs(&found))? == After::Ends {
-            return Ok(found);
+            return Ok(Found::Pairs(found));
         }
         let flight = Flight { near: plan.pairs.clone(), ..flight };
 
         let (oriented, ties) = match self.args.engine.of_colmap() {
             Some(_) => match self.by_colmap(&flight, plane.as_ref())? {
-                ByColmap::Ends(found) => return Ok(found),
+                ByColmap::Ends(found) => return Ok(Found::Ties(found)),
                 ByColmap::Oriented(oriented, ties) => (refined(oriented, folder)?, ties),
             },
             None => {
@@ -222,10 +222,10 @@ impl<'a> Ready<'a> {
                 (Oriented::new(model, MadeBy::Micmac), None)
             }
         };
-        let found = stages::relative(&oriented, &flight.ordered, self.listed);
+        let found = RelativeStage::of(&oriented, &flight.ordered, self.listed);
         write_model(&self.out.join("relative"), &oriented.model)?;
         if record.put(Stage::Relative, &found, &stage_pages::relative(&found))? == After::Ends {
-            return Ok(found);
+            return Ok(Found::Relative(found));
         }
         self.on_the_ground(&flight, &plan, &oriented, ties)
     }
@@ -241,12 +241,12 @@ impl<'a> Ready<'a> {
             None => None,
         };
         let matched = flight.matched(tied)?;
-        let found = stages::ties(&matched, &flight.ordered, flight.size_px);
+        let found = TiesStage::of(&matched, &flight.ordered, flight.size_px);
         let page = stage_pages::ties(&found, &matched.verified, &self.record.pictures(flight.size_px));
         if self.record.put(Stage::Ties, &found, &page)? == After::Ends {
             return Ok(ByColmap::Ends(found));
         }
-        let pairs = stages::all_matches(&matched, &flight.ordered);
+        let pairs = matched.all.as_ref().map(|ties| ties.statistics(&flight.ordered));
         let oriented = flight.relative(matched)?;
         // What warped neighbours share is nothing of a block that was made without them.
         let pairs = pairs.filter(|_| oriented.by != MadeBy::MapperOfPlainFrames);
@@ -287,7 +287,7 @@ impl<'a> Ready<'a> {
         plan: &runs::Plan,
         oriented: &Oriented,
         ties: Option<Vec<PairTies>>,
-    ) -> Result<Value> {
+    ) -> Result<Found> {
         let (project, record, rows) = (&self.project, &self.record, &self.frames.rows);
         let model = &oriented.model;
         let image_px = project.gcps.as_ref().map_or(default_image_px(), |gcps| gcps.sigma_image_px);
@@ -301,10 +301,10 @@ impl<'a> Ready<'a> {
             true => micmac::held(model, &world),
         };
         let placed = on_ground(model, &ground, &rough)?;
-        let found = stages::gcp(&placed, &ground, model, &world, control.crs_label());
+        let found = GcpStage::of(&placed, &ground, model, &world, control.crs_label());
         let page = stage_pages::gcp(&found, &record.pictures(flight.size_px));
         if record.put(Stage::Gcp, &found, &page)? == After::Ends {
-            return Ok(found);
+            return Ok(Found::Gcp(found));
         }
 
         let turned = if by_micmac { None } else { footprints::let_go_of_turned(&mut rough, model, &placed.similarity) };
@@ -326,28 +326,27 @@ impl<'a> Ready<'a> {
         let names = &self.frames.names;
         let lost = names.iter().filter(|n| model.find(n).is_none()).map(|n| format!("{n}: not registered"));
         found.notes.extend(lost);
-        let mut document = document::adjustment(&found, model, &world, self.listed, control.crs_label());
-        if let Some(ties) = ties {
-            document["pairs"] = json!(ties);
-        }
-        document["lines"] = json!(runs::results(&plan.lines, &flight.ordered, (&found, model), &world));
-        if project.rough.is_some() {
-            document["rough_differences"] = footprints::rough_differences(&found, model, rows, &world);
-        }
+        let differences = || footprints::rough_differences(&found, model, rows, &world);
+        let document = CamerasDocument {
+            pairs: ties,
+            lines: Some(runs::results(&plan.lines, &flight.ordered, (&found, model), &world)),
+            rough_differences: project.rough.as_ref().map(|_| differences()),
+            ..CamerasDocument::of(&found, model, &world, self.listed, control.crs_label())
+        };
         let ground = footprints::footprints(&found, model, &world, control.crs.as_ref());
         atomic::write(&self.out.join("footprints.geojson"), (ground.to_string() + "\n").as_bytes())?;
         atomic::write(&self.out.join("flight.html"), page::page(&document, record.title()).as_bytes())?;
         let text = serde_json::to_string_pretty(&document)? + "\n";
         atomic::write(&self.out.join("cameras.json"), text.as_bytes())?;
         record.contents(Stage::Cameras)?;
-        Ok(document)
+        Ok(Found::Cameras(document))
     }
 }
 
 /// How far COLMAP's stages went.
 enum ByColmap {
     /// Ties were all that was asked for.
-    Ends(Value),
+    Ends(TiesStage),
     /// The block, and the ties of each pair; `None` where frames were matched as they are.
     Oriented(Oriented, Option<Vec<PairTies>>),
 }

@@ -1,7 +1,10 @@
 //! The stages of a flight.
 
+use serde::Serialize;
+
 /// The stages in their order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
 pub enum Stage {
     /// Frames, masks, focal length and principal point.
     Interior,

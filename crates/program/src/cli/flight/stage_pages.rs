@@ -3,16 +3,17 @@
 
 use std::fmt::Write;
 
-use serde_json::Value;
-
-use super::page::{CHECK, CONTROL, STYLE, camera_mark, cells, fixed, name, rows};
-use super::stage::Stage;
-use super::ties::Ties;
+use autoref_flight::adjust::Role;
 use autoref_raster::markup::{escaped, page_head};
-use autoref_raster::words::counted;
+
+use super::page::{CHECK, CONTROL, STYLE, both, camera_mark, cells, fixed, known};
+use super::stage_documents::{
+    FocalLength, FramePlace, GcpStage, InteriorStage, PairsStage, RelativeStage, TiedFrame, TiesStage,
+};
+use super::ties::Ties;
 
 /// Fewer ties than these make a frame or a pair worth a look.
-const FEW_TIES: u64 = 30;
+const FEW_TIES: usize = 30;
 /// Less of a frame with ties than this, likewise.
 const LITTLE_COVERED: f64 = 0.25;
 /// Most ties that are drawn in a frame.
@@ -57,34 +58,6 @@ pub fn contents(title: &str, rows: &str) -> String {
     )
 }
 
-/// What a stage found, in one line of text for a page.
-pub fn line(stage: Stage, found: &Value) -> String {
-    let count = |key: &str| rows(found, key).len();
-    match stage {
-        Stage::Interior => format!("{} of {} frames can be used", count("frames"), found["frames_listed"]),
-        Stage::Pairs => {
-            let lines = counted(count("lines"), "flight line", "flight lines");
-            format!("{lines}, {} to compare", counted(count("pairs"), "pair", "pairs"))
-        }
-        Stage::Ties => {
-            let ties: u64 = rows(found, "pairs").iter().filter_map(|p| p["ties"].as_u64()).sum();
-            let with = rows(found, "pairs").iter().filter(|p| p["ties"].as_u64() > Some(0)).count();
-            format!("{ties} ties in {with} of {} pairs", count("pairs"))
-        }
-        Stage::Relative | Stage::Cameras => format!(
-            "{} of {} frames registered, ties {} px RMS",
-            found["frames_registered"],
-            found["frames_listed"],
-            fixed(&found["reprojection_rms_px"], 2)
-        ),
-        Stage::Gcp => format!(
-            "{} surveyed points; seven parameters leave {} m RMS at control points",
-            count("points"),
-            fixed(&found["gcp_statistics"]["d"]["rms"], 2)
-        ),
-    }
-}
-
 /// A frame's small picture with something drawn over it.
 fn frame(out: &mut String, of: &str, pictures: &Pictures, over: &str, caption: &str) {
     let [width, height] = pictures.size_px;
@@ -108,29 +81,27 @@ fn warning(out: &mut String, text: &str) {
     let _ = write!(out, "<p class=\"bad\">{}</p>", escaped(text));
 }
 
-pub fn interior(found: &Value, pictures: &Pictures) -> String {
+pub fn interior(found: &InteriorStage, pictures: &Pictures) -> String {
     let mut out = String::new();
-    for note in rows(found, "left_out").iter().filter_map(Value::as_str) {
+    for note in &found.left_out {
         warning(&mut out, note);
     }
-    let focal = match found["focal"].as_str() {
-        Some("held") => "known, held in the relative orientation",
-        Some("rough") => "a start, free in the relative orientation",
-        _ => "not known: sought by COLMAP",
+    let focal = match found.focal {
+        FocalLength::Held => "known, held in the relative orientation",
+        FocalLength::Rough => "a start, free in the relative orientation",
+        FocalLength::Sought => "not known: sought by COLMAP",
     };
-    let pair =
-        |key: &str, digits: usize| rows(found, key).iter().map(|v| fixed(v, digits)).collect::<Vec<_>>().join(", ");
     let _ = write!(
         out,
         "<p>{}.</p><table><tr><td>frames</td><td>{} px</td></tr><tr><td>focal length</td><td>{} px ({focal})</td></tr>\
          <tr><td>principal point</td><td>{} px</td></tr><tr><td>field of view</td><td>{}°</td></tr></table>",
-        line(Stage::Interior, found),
-        pair("size_px", 0).replace(", ", " × "),
-        fixed(&found["f_px"], 2),
-        pair("pp_px", 2),
-        pair("field_of_view_deg", 1).replace(", ", "° × "),
+        found.line().words(),
+        found.size_px.map(|v| fixed(v, 0)).join(" × "),
+        fixed(found.f_px, 2),
+        found.pp_px.map(|v| fixed(v, 2)).join(", "),
+        found.field_of_view_deg.map(|v| fixed(v, 1)).join("° × "),
     );
-    let at = [0, 1].map(|k| found["pp_px"][k].as_f64().unwrap_or(0.0) * pictures.scale);
+    let at = found.pp_px.map(|v| v * pictures.scale);
     let cross = format!(
         "<path d=\"M{:.1} {:.1}h12M{:.1} {:.1}v12\" stroke=\"{CHECK}\" stroke-width=\"1.5\"/>",
         at[0] - 6.0,
@@ -139,10 +110,9 @@ pub fn interior(found: &Value, pictures: &Pictures) -> String {
         at[1] - 6.0
     );
     out += "<h2>Frames</h2><p>In the order of the flight; the cross is the principal point.</p><div class=\"frames\">";
-    for f in rows(found, "frames") {
-        let masks: Vec<&str> = rows(f, "masks").iter().filter_map(Value::as_str).collect();
-        let masks = if masks.is_empty() { "no mask".into() } else { escaped(&masks.join(", ")) };
-        frame(&mut out, f["name"].as_str().unwrap_or_default(), pictures, &cross, &masks);
+    for f in &found.frames {
+        let masks = if f.masks.is_empty() { "no mask".into() } else { escaped(&f.masks.join(", ")) };
+        frame(&mut out, &f.name, pictures, &cross, &masks);
     }
     out + "</div>"
 }
@@ -150,41 +120,35 @@ pub fn interior(found: &Value, pictures: &Pictures) -> String {
 /// Width of the map of pairs.
 const MAP_PX: f64 = 900.0;
 
-pub fn pairs(found: &Value) -> String {
-    let mut out = format!("<p>{}.</p>", line(Stage::Pairs, found));
+pub fn pairs(found: &PairsStage) -> String {
+    let mut out = format!("<p>{}.</p>", found.line().words());
     map_of_pairs(&mut out, found);
     out += "<h2>Flight lines</h2><table><tr><th>line</th><th>frames</th><th>first</th><th>last</th></tr>";
-    for l in rows(found, "lines") {
-        let frames = rows(l, "frames");
-        let of = |v: Option<&Value>| escaped(v.and_then(Value::as_str).unwrap_or_default());
-        let _ = write!(out, "<tr><td>{}</td><td>{}</td>", name(l), frames.len());
-        let _ = write!(out, "<td>{}</td><td>{}</td></tr>", of(frames.first()), of(frames.last()));
+    for l in &found.lines {
+        let of = |name: Option<&String>| name.map_or(String::new(), |name| escaped(name));
+        let _ = write!(out, "<tr><td>{}</td><td>{}</td>", escaped(&l.name), l.frames.len());
+        let _ = write!(out, "<td>{}</td><td>{}</td></tr>", of(l.frames.first()), of(l.frames.last()));
     }
     out += "</table><h2>Pairs</h2><table><tr><th>frames</th><th>line</th><th>ground of one in the other</th></tr>";
-    for p in rows(found, "pairs") {
-        let along = if p["along_line"] == true { "the same" } else { "two" };
-        let shared = p["shared"].as_f64().map_or("–".into(), |s| format!("{:.0} %", 100.0 * s));
-        let _ = write!(out, "<tr><td>{}</td><td>{along}</td><td>{shared}</td></tr>", both(p));
+    for p in &found.pairs {
+        let along = if p.along_line { "the same" } else { "two" };
+        let shared = p.shared.filter(|s| s.is_finite()).map_or("–".into(), |s| format!("{:.0} %", 100.0 * s));
+        let _ = write!(out, "<tr><td>{}</td><td>{along}</td><td>{shared}</td></tr>", both(&p.frames));
     }
     out + "</table>"
 }
 
-/// Names of a pair's frames.
-fn both(pair: &Value) -> String {
-    [0, 1].map(|k| escaped(pair["frames"][k].as_str().unwrap_or_default())).join(" – ")
-}
-
 /// Where the frames are thought to stand, and the pairs.
-fn map_of_pairs(out: &mut String, found: &Value) {
-    let place = |f: &Value| Some([f["place_m"][0].as_f64()?, f["place_m"][1].as_f64()?]);
-    let frames = rows(found, "frames");
-    let known: Vec<[f64; 2]> = frames.iter().filter_map(place).collect();
-    if known.len() < 2 {
+fn map_of_pairs(out: &mut String, found: &PairsStage) {
+    let place = |f: &FramePlace| f.place_m.and_then(known);
+    let frames = &found.frames;
+    let places: Vec<[f64; 2]> = frames.iter().filter_map(place).collect();
+    if places.len() < 2 {
         *out += "<p>No table says where the frames were taken: each is compared with those before and after it.</p>";
         return;
     }
-    let low = [0, 1].map(|k| known.iter().map(|p| p[k]).fold(f64::INFINITY, f64::min));
-    let high = [0, 1].map(|k| known.iter().map(|p| p[k]).fold(f64::NEG_INFINITY, f64::max));
+    let low = [0, 1].map(|k| places.iter().map(|p| p[k]).fold(f64::INFINITY, f64::min));
+    let high = [0, 1].map(|k| places.iter().map(|p| p[k]).fold(f64::NEG_INFINITY, f64::max));
     let border = 40.0;
     let scale = (MAP_PX - 2.0 * border) / (high[0] - low[0]).max(high[1] - low[1]).max(1.0);
     let [width, height] = [0, 1].map(|k| (high[k] - low[k]) * scale + 2.0 * border);
@@ -194,10 +158,10 @@ fn map_of_pairs(out: &mut String, found: &Value) {
         "<h2>Map</h2><svg viewBox=\"0 0 {width:.0} {height:.0}\" width=\"{width:.0}\" height=\"{height:.0}\" role=\"img\" \
          aria-label=\"Frames and the pairs that are compared\">"
     );
-    let of_name = |wanted: &Value| frames.iter().find(|f| f["name"] == *wanted).and_then(place).map(at);
-    for p in rows(found, "pairs") {
-        let (Some(a), Some(b)) = (of_name(&p["frames"][0]), of_name(&p["frames"][1])) else { continue };
-        let colour = if p["along_line"] == true { CONTROL } else { DOT };
+    let of_name = |wanted: &String| frames.iter().find(|f| f.name == *wanted).and_then(place).map(at);
+    for p in &found.pairs {
+        let (Some(a), Some(b)) = (of_name(&p.frames[0]), of_name(&p.frames[1])) else { continue };
+        let colour = if p.along_line { CONTROL } else { DOT };
         let _ = write!(
             out,
             "<path d=\"M{:.1} {:.1}L{:.1} {:.1}\" stroke=\"{colour}\" stroke-opacity=\".6\"/>",
@@ -206,8 +170,8 @@ fn map_of_pairs(out: &mut String, found: &Value) {
     }
     for f in frames {
         let Some(p) = place(f).map(at) else { continue };
-        match f["azimuth_deg"].as_f64() {
-            Some(azimuth) => camera_mark(out, p, azimuth, &name(f)),
+        match f.azimuth_deg.filter(|azimuth| azimuth.is_finite()) {
+            Some(azimuth) => camera_mark(out, p, azimuth, &escaped(&f.name)),
             None => {
                 let _ = write!(out, "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"3\"/>", p[0], p[1]);
             }
@@ -220,73 +184,79 @@ fn map_of_pairs(out: &mut String, found: &Value) {
     );
 }
 
-pub fn ties(found: &Value, verified: &Ties, pictures: &Pictures) -> String {
-    let mut out = format!("<p>{}. ", line(Stage::Ties, found));
-    out += match found["neighbours_warped"].as_bool() {
-        Some(true) => "Neighbours were warped onto each other by the rough table.</p>",
-        _ => "Frames were matched as they are: focal length, positions or directions are not known.</p>",
+pub fn ties(found: &TiesStage, verified: &Ties, pictures: &Pictures) -> String {
+    let mut out = format!("<p>{}. ", found.line().words());
+    out += match found.neighbours_warped {
+        true => "Neighbours were warped onto each other by the rough table.</p>",
+        false => "Frames were matched as they are: focal length, positions or directions are not known.</p>",
     };
-    for f in rows(found, "frames") {
-        let (ties, covered) = (f["ties"].as_u64().unwrap_or(0), f["covered"].as_f64().unwrap_or(0.0));
-        let of = f["name"].as_str().unwrap_or_default();
-        if ties < FEW_TIES {
-            warning(&mut out, &format!("{of}: {ties} ties hardly hold it; look at its masks and neighbours."));
-        } else if covered < LITTLE_COVERED {
-            warning(&mut out, &format!("{of}: ties in {:.0} % of the frame only.", 100.0 * covered));
+    for TiedFrame { name, ties, covered, .. } in &found.frames {
+        if *ties < FEW_TIES {
+            warning(&mut out, &format!("{name}: {ties} ties hardly hold it; look at its masks and neighbours."));
+        } else if *covered < LITTLE_COVERED {
+            warning(&mut out, &format!("{name}: ties in {:.0} % of the frame only.", 100.0 * covered));
         }
     }
     out += "<h2>Pairs</h2><table><tr><th>frames</th><th>matches</th><th>ties that fit a relative orientation</th></tr>";
-    for p in rows(found, "pairs") {
-        let class = if p["ties"].as_u64() < Some(FEW_TIES) { " class=\"bad\"" } else { "" };
-        let _ = write!(out, "<tr><td>{}</td><td>{}</td><td{class}>{}</td></tr>", both(p), p["matches"], p["ties"]);
+    for p in &found.pairs {
+        let class = if p.ties < FEW_TIES { " class=\"bad\"" } else { "" };
+        let _ = write!(out, "<tr><td>{}</td><td>{}</td><td{class}>{}</td></tr>", both(&p.frames), p.matches, p.ties);
     }
     out += "</table><h2>Frames</h2><p>Dots are ties.</p><div class=\"frames\">";
-    for (i, f) in rows(found, "frames").iter().enumerate() {
+    for (i, f) in found.frames.iter().enumerate() {
         let places = verified.places_tied(i);
         let mut dots = String::new();
         for at in places.iter().step_by(places.len().div_ceil(MOST_DOTS).max(1)) {
             let [x, y] = at.map(|v| v * pictures.scale);
             let _ = write!(dots, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"1.2\" fill=\"{DOT}\"/>");
         }
-        let covered = 100.0 * f["covered"].as_f64().unwrap_or(0.0);
-        let caption = format!("{} ties with {} frames, in {covered:.0} % of it", f["ties"], f["neighbours"]);
-        frame(&mut out, f["name"].as_str().unwrap_or_default(), pictures, &dots, &caption);
+        let covered = 100.0 * f.covered;
+        let caption = format!("{} ties with {} frames, in {covered:.0} % of it", f.ties, f.neighbours);
+        frame(&mut out, &f.name, pictures, &dots, &caption);
     }
     out + "</div>"
 }
 
-pub fn relative(found: &Value) -> String {
-    let made_by = escaped(found["made_by"].as_str().unwrap_or_default());
+pub fn relative(found: &RelativeStage) -> String {
     let mut out = format!(
-        "<p>{}. Made by {made_by}. {} of {} image points were laid upon each other in the frames.</p>",
-        line(Stage::Relative, found),
-        found["image_points_laid"],
-        found["image_points"]
+        "<p>{}. Made by {}. {} of {} image points were laid upon each other in the frames.</p>",
+        found.line().words(),
+        escaped(found.made_by),
+        found.image_points_laid,
+        found.image_points
     );
-    for lost in rows(found, "not_registered").iter().filter_map(Value::as_str) {
+    for lost in &found.not_registered {
         warning(&mut out, &format!("{lost}: not registered"));
     }
     out += "<table><tr><th>frame</th><th>ties</th><th>RMS (px)</th><th>x</th><th>y</th><th>z</th></tr>";
-    for f in rows(found, "frames") {
-        let _ = write!(out, "<tr><td>{}</td><td>{}</td>", name(f), f["ties"]);
-        cells(&mut out, [fixed(&f["rms_px"], 2)]);
-        cells(&mut out, [0, 1, 2].map(|k| fixed(&f["centre"][k], 2)));
+    for f in &found.frames {
+        let _ = write!(out, "<tr><td>{}</td><td>{}</td>", escaped(&f.name), f.ties);
+        cells(&mut out, [fixed(f.rms_px, 2)]);
+        cells(&mut out, f.centre.map(|v| fixed(v, 2)));
         out += "</tr>";
     }
     out + "</table><p>Places are those of the block's own frame; COLMAP's text model of it lies in \
            <a href=\"../relative\">relative</a>.</p>"
 }
 
-pub fn gcp(found: &Value, pictures: &Pictures) -> String {
-    let mut out = format!("<p>{}.</p>", line(Stage::Gcp, found));
+/// The word and the colour of a point.
+fn shown_as(role: Role) -> (&'static str, &'static str) {
+    match role {
+        Role::Control => ("control", CONTROL),
+        Role::Check => ("check", CHECK),
+    }
+}
+
+pub fn gcp(found: &GcpStage, pictures: &Pictures) -> String {
+    let mut out = format!("<p>{}.</p>", found.line().words());
     out += "<p>Residuals: where a point's rays meet in the block − its survey, after a similarity by the control points. \
             Nothing is adjusted yet.</p><table><tr><th>point</th><th></th><th>images</th><th>x</th><th>y</th><th>z</th>\
             <th>d (m)</th></tr>";
-    for p in rows(found, "points") {
-        let role = p["role"].as_str().unwrap_or_default();
-        let _ = write!(out, "<tr><td>{}</td><td>{role}</td><td>{}</td>", name(p), rows(p, "images").len());
-        cells(&mut out, [0, 1, 2].map(|k| fixed(&p["residual_m"][k], 2)));
-        cells(&mut out, [fixed(&p["d_m"], 2)]);
+    for p in &found.points {
+        let (role, _) = shown_as(p.role);
+        let _ = write!(out, "<tr><td>{}</td><td>{role}</td><td>{}</td>", escaped(&p.name), p.images.len());
+        cells(&mut out, [0, 1, 2].map(|k| fixed(p.residual_m.map(|r| r[k]), 2)));
+        cells(&mut out, [fixed(p.d_m, 2)]);
         out += "</tr>";
     }
     let _ = write!(
@@ -295,11 +265,11 @@ pub fn gcp(found: &Value, pictures: &Pictures) -> String {
          <span style=\"color:{CHECK}\">check points</span> where they were measured.</p><div class=\"frames\">"
     );
     let mut shown: Vec<(&str, usize, String)> = Vec::new();
-    for p in rows(found, "points") {
-        let colour = if p["role"] == "check" { CHECK } else { CONTROL };
-        for image in rows(p, "images") {
-            let of = image["frame"].as_str().unwrap_or_default();
-            let [x, y] = [0, 1].map(|k| image["pixel"][k].as_f64().unwrap_or(0.0) * pictures.scale);
+    for p in &found.points {
+        let (_, colour) = shown_as(p.role);
+        for image in &p.images {
+            let of = image.frame.as_str();
+            let [x, y] = image.pixel.map(|v| v * pictures.scale);
             let k = shown.iter().position(|s| s.0 == of).unwrap_or_else(|| {
                 shown.push((of, 0, String::new()));
                 shown.len() - 1
@@ -312,7 +282,7 @@ pub fn gcp(found: &Value, pictures: &Pictures) -> String {
                  paint-order=\"stroke\">{}</text>",
                 x + 5.0,
                 y - 4.0,
-                name(p)
+                escaped(&p.name)
             );
         }
     }
@@ -326,13 +296,22 @@ pub fn gcp(found: &Value, pictures: &Pictures) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::flight::stage::Stage;
+    use crate::cli::flight::stage_documents::{MatchedPair, UsedFrame};
 
     #[test]
     fn names_are_text_in_pages_and_addresses_in_links() {
-        let found = serde_json::json!({
-            "frames_listed": 1, "f_px": 500.0, "focal": "held", "pp_px": [250.0, 250.0], "size_px": [500.0, 500.0],
-            "field_of_view_deg": [53.1, 53.1], "frames": [{"name": "a <b>#1.png", "masks": []}], "left_out": ["<i>"],
-        });
+        let found = InteriorStage {
+            stage: Stage::Interior,
+            frames_listed: 1,
+            f_px: Some(500.0),
+            focal: FocalLength::Held,
+            pp_px: [250.0, 250.0],
+            size_px: [500.0, 500.0],
+            field_of_view_deg: [Some(53.1); 2],
+            frames: vec![UsedFrame { name: "a <b>#1.png".into(), masks: vec![] }],
+            left_out: vec!["<i>".into()],
+        };
         let page = whole("x & y", "interior", None, &interior(&found, &Pictures::of([500.0, 500.0], 240)));
         assert!(
             page.contains("x &amp; y") && page.contains("a &lt;b&gt;#1.png") && page.contains("&lt;i&gt;"),
@@ -343,11 +322,19 @@ mod tests {
 
     #[test]
     fn a_frame_without_ties_is_named() {
-        let found = serde_json::json!({
-            "neighbours_warped": true,
-            "pairs": [{"frames": ["a", "b"], "matches": 40, "ties": 3}],
-            "frames": [{"name": "a", "ties": 3, "neighbours": 1, "covered": 0.02}, {"name": "b", "ties": 90, "covered": 0.1}],
-        });
+        let frame = |name: &str, ties: usize, covered: f64| TiedFrame {
+            name: name.into(),
+            features: 100,
+            ties,
+            neighbours: 1,
+            covered,
+        };
+        let found = TiesStage {
+            stage: Stage::Ties,
+            neighbours_warped: true,
+            pairs: vec![MatchedPair { frames: ["a".into(), "b".into()], matches: 40, ties: 3 }],
+            frames: vec![frame("a", 3, 0.02), frame("b", 90, 0.1)],
+        };
         let page = ties(&found, &Ties::default(), &Pictures::of([500.0, 500.0], 240));
         assert!(page.contains("a: 3 ties hardly hold it") && page.contains("b: ties in 10 % of the frame"), "{page}");
     }
