@@ -142,8 +142,7 @@ impl Refiner {
         let Some(softer) = &self.softer else { return found };
         let (mut best, mut least) = (found, self.left_over(&self.surface, grey, found.centre));
         for (surface, blur_px) in softer.surfaces() {
-            let now = self.left_over(surface, grey, best.centre);
-            if !(now < least) {
+            if self.left_over(surface, grey, best.centre) >= least {
                 break;
             }
             let Some(mut other) = self.settle(surface, grey, best.centre, &|_, _| true).filter(|r| r.contrast > 0.0)

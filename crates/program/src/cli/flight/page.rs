@@ -254,12 +254,12 @@ fn five(values: &[f64]) -> [f64; 5] {
 
 fn boxes(out: &mut String, document: &CamerasDocument) {
     let frames = differences(document);
-    let of: [(&str, fn(&FrameDifference) -> f64); 4] =
-        [("x", |f| f.x_m), ("y", |f| f.y_m), ("z", |f| f.z_m), ("d", |f| f.d_m)];
-    let series: Vec<(&str, Vec<f64>)> = of
+    let of = |axis: usize, f: &FrameDifference| [f.x_m, f.y_m, f.z_m, f.d_m][axis];
+    let series: Vec<(&str, Vec<f64>)> = ["x", "y", "z", "d"]
         .into_iter()
-        .map(|(axis, of)| {
-            let mut values: Vec<f64> = frames.iter().map(of).filter(|v| v.is_finite()).collect();
+        .enumerate()
+        .map(|(k, axis)| {
+            let mut values: Vec<f64> = frames.iter().map(|f| of(k, f)).filter(|v| v.is_finite()).collect();
             values.sort_by(f64::total_cmp);
             (axis, values)
         })

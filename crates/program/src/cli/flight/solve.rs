@@ -339,7 +339,7 @@ impl<'a> Ready<'a> {
         let text = serde_json::to_string_pretty(&document)? + "\n";
         atomic::write(&self.out.join("cameras.json"), text.as_bytes())?;
         record.contents(Stage::Cameras)?;
-        Ok(Found::Cameras(document))
+        Ok(Found::Cameras(Box::new(document)))
     }
 }
 

@@ -28,6 +28,6 @@ pub enum Found {
     Pairs(PairsStage),
     Ties(TiesStage),
     Relative(RelativeStage),
-    Gcp(GcpStage),
-    Cameras(CamerasDocument),
+    Gcp(Box<GcpStage>),
+    Cameras(Box<CamerasDocument>),
 }
