@@ -174,6 +174,7 @@ fn samples_that_teach_nothing_are_named() {
     let out = folder.text("masks");
     for (arguments, word) in [
         (&["--sample", "ground=300,20,100,100@a.tif"][..], "inside the frame"),
+        (&["--sample", "ground=20,20,50,50", "--sample", "water=60,60,50,50"], "60, 60 to 70, 70; draw them apart"),
         (&["--sample", "ground=20,20,0,100@a.tif"], "sample"),
         (&["--sample", "ground=20,20,50,50@z.tif"], "z.tif"),
         (&["--sample", "unicorn=20,20,50,50@a.tif"], "unicorn"),
