@@ -310,6 +310,26 @@ fn what_is_stale_or_gone_is_noticed() {
 }
 
 #[test]
+fn what_a_person_masks_is_nothing_to_be_unsure_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let frame = folder.path().join("a.tif");
+    draw(&frame, 1, 1.0, &[]);
+    let options = options(Method::Auto);
+    let taught = teach(std::slice::from_ref(&frame), &Given::default(), &options).unwrap();
+    let report = |given: &Given| mask_frame(&frame, folder.path(), &taught, given, &options).unwrap().report;
+    let whole = folder.path().join("global.tif");
+    write_mask(&whole, |_, _| 0);
+    for given in [
+        // Beyond the frame: half a cell of the analysis lies there.
+        Given { global: vec![parse_sample("mask=0,0,1210,810").unwrap()], ..Given::default() },
+        Given { global_mask: Some(whole), ..Given::default() },
+    ] {
+        let report = report(&given);
+        assert_eq!((report.unsure_share, report.unlike_share), (0.0, Some(0.0)));
+    }
+}
+
+#[test]
 fn pixels_taught_both_ways_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
