@@ -183,6 +183,9 @@ fn samples_that_teach_nothing_are_named() {
         (&["--samples", "nowhere.toml"], "nowhere.toml"),
         (&["--memory", "1M"], "112M"),
     ] {
+        let in_json = mask(&[&[a.as_str(), "-o", &out, "--json"], arguments].concat());
+        let said = lines(&in_json);
+        assert!(said.len() == 1 && said[0]["error"]["message"].is_string(), "{arguments:?}: {said:?}");
         let output = mask(&[&[a.as_str(), "-o", &out, "--quiet"], arguments].concat());
         let text = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {text}");
