@@ -163,10 +163,10 @@ struct ContourArgs {
     /// The file of lines: .gpkg, .geojson or .shp.
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
-    /// Height between two lines.
+    /// Height between two lines, metres whatever the model's unit; so is `elev`.
     #[arg(long, value_name = "M", allow_hyphen_values = true)]
     interval: f64,
-    /// A height at which a line lies.
+    /// A height at which a line lies, metres.
     #[arg(long, value_name = "M", default_value_t = 0.0, allow_hyphen_values = true)]
     base: f64,
     /// Replace the output when it exists.
