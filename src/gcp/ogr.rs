@@ -86,7 +86,9 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
         match feature.geometry() {
             // GDAL hands out one without a name where there is none.
             Some(geometry) if !geometry.geometry_name().is_empty() => {
-                points.push(point(path, i + 1, &feature, geometry, &titled)?);
+                let mut point = point(path, i + 1, &feature, geometry, &titled)?;
+                point.attributes.retain(|(title, _)| !columns_of_driver(&driver).contains(&title.as_str()));
+                points.push(point);
             }
             _ => without.push((i + 1).to_string()),
         }
@@ -96,6 +98,16 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
         list.notes.push(format!("{}: passed over, without a geometry: feature {}", path.display(), without.join(", ")));
     }
     Ok(list)
+}
+
+/// Columns that a driver of GDAL's has of every file: how a viewer shows a place, an identifier of the element. Nobody
+/// wrote them about the point.
+fn columns_of_driver(driver: &str) -> &'static [&'static str] {
+    match driver {
+        "KML" | "LIBKML" => &["tessellate", "extrude", "visibility", "drawOrder", "icon"],
+        "GML" => &["gml_id"],
+        _ => &[],
+    }
 }
 
 /// What GeoPackage has for coordinates of no known system, and GDAL hands out as one.
@@ -197,6 +209,29 @@ mod tests {
         let (from, long) = ((local.len() as u32).to_le_bytes(), (central.len() as u32).to_le_bytes());
         let end = [&b"PK\x05\x06\0\0\0\0\x01\0\x01\0"[..], &long, &from, &[0, 0]].concat();
         [local, central, end].concat()
+    }
+
+    #[test]
+    fn columns_that_only_the_driver_has_are_no_attributes() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let kml = r#"<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"><Document><name>points</name>
+            <Placemark><name>P1</name><visibility>1</visibility><ExtendedData><Data name="kind"><value>nail</value></Data>
+            </ExtendedData><Point><extrude>1</extrude><coordinates>10.5,63.25,12</coordinates></Point></Placemark>
+            </Document></kml>"#;
+        let gml = r#"<?xml version="1.0"?><ogr:FeatureCollection gml:id="all" xmlns:ogr="http://ogr.maptools.org/"
+            xmlns:gml="http://www.opengis.net/gml/3.2"><ogr:featureMember><ogr:points gml:id="points.0">
+            <ogr:geometryProperty><gml:Point srsName="urn:ogc:def:crs:EPSG::25832" gml:id="points.geom.0">
+            <gml:pos>500000 6600000</gml:pos></gml:Point></ogr:geometryProperty><ogr:name>P1</ogr:name>
+            <ogr:kind>nail</ogr:kind></ogr:points></ogr:featureMember></ogr:FeatureCollection>"#;
+        for (name, text) in [("a.kml", kml), ("b.gml", gml)] {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).expect("writable");
+            let list = parse(&path, None).expect("a list");
+            let titles: Vec<&str> = list.points[0].attributes.iter().map(|(title, _)| title.as_str()).collect();
+            let of_driver = ["tessellate", "extrude", "visibility", "drawOrder", "icon", "gml_id"];
+            assert!(!titles.iter().any(|title| of_driver.contains(title)), "{name}: {titles:?}");
+            assert_eq!(list.points[0].gcp.name, "P1", "{name}");
+        }
     }
 
     /// By its whole path, as by a relative one.

@@ -174,6 +174,7 @@ fn samples_that_teach_nothing_are_named() {
     let out = folder.text("masks");
     for (arguments, word) in [
         (&["--sample", "ground=300,20,100,100@a.tif"][..], "inside the frame"),
+        (&["--sample", "ground=20,20,50,50", "--sample", "water=60,60,50,50"], "60, 60 to 70, 70; draw them apart"),
         (&["--sample", "ground=20,20,0,100@a.tif"], "sample"),
         (&["--sample", "ground=20,20,50,50@z.tif"], "z.tif"),
         (&["--sample", "unicorn=20,20,50,50@a.tif"], "unicorn"),
@@ -182,6 +183,9 @@ fn samples_that_teach_nothing_are_named() {
         (&["--samples", "nowhere.toml"], "nowhere.toml"),
         (&["--memory", "1M"], "112M"),
     ] {
+        let in_json = mask(&[&[a.as_str(), "-o", &out, "--json"], arguments].concat());
+        let said = lines(&in_json);
+        assert!(said.len() == 1 && said[0]["error"]["message"].is_string(), "{arguments:?}: {said:?}");
         let output = mask(&[&[a.as_str(), "-o", &out, "--quiet"], arguments].concat());
         let text = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {text}");

@@ -255,9 +255,10 @@ pub fn line_driver(out: &Path) -> Result<&'static str> {
 const MOST_LEVELS: f64 = 100_000.0;
 
 /// Contour lines into a vector file, whose format its extension names (GeoPackage, GeoJSON, Shapefile); tells how many.
+/// `interval`, `base` and the lines' heights are in metres, whatever the model's unit.
 ///
 /// # Errors
-/// An interval that is not positive or cuts the model's heights into more than 100,000 levels; GDAL's own words, when
+/// A unit of height that is none of length; an interval that is not positive or cuts the model's heights into more than 100,000 levels; GDAL's own words, when
 /// it cannot.
 pub fn contour(model: &Path, out: &Path, interval: f64, base: f64, memory_budget_bytes: u64) -> Result<u64> {
     use gdal::spatial_ref::SpatialRef;
@@ -267,8 +268,8 @@ pub fn contour(model: &Path, out: &Path, interval: f64, base: f64, memory_budget
     }
     let failed = |e: gdal::errors::GdalError| failed_to_write(out, &e.to_string());
     let watch = Written::watch(out);
-    let source = crate::model::open_heights(model)?;
-    refuse_placed_by_gcps(model, &source)?;
+    refuse_placed_by_gcps(model, &crate::model::open_dataset(model)?)?;
+    let source = crate::model::open_metres(model)?;
     let band = source.rasterband(1).map_err(|e| Error::gdal(model, e))?;
     check_levels(model, extremes(model, &source)?, interval)?;
     let _cache = RowCache::hold(model, &source, Use::Followed, memory_budget_bytes)?;

@@ -201,7 +201,8 @@ impl<'a, const BITS: u32> Run<'a, BITS> {
             let Some((_, count)) = next else { return f64::NAN };
             before += count;
             if before >= half {
-                return down.min(up);
+                // A distance of nothing has no sign.
+                return down.min(up) + 0.0;
             }
         }
     }
@@ -247,6 +248,7 @@ mod tests {
         assert_eq!(FloatHistogram::<20>::default().filled().core(), None);
         let mut equal = FloatHistogram::<20>::default();
         (0..5).for_each(|_| equal.add(0.0));
+        assert!(equal.filled().median_distance(0.0).is_sign_positive());
         assert!(
             equal.filled().core().is_some_and(|(median, scale)| median == 0.0 && scale < 1e-30),
             "{:?}",

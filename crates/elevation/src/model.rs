@@ -332,11 +332,27 @@ pub(crate) fn look_through(
 /// # Errors
 /// As [`open_dataset`].
 pub fn open_heights(path: &Path) -> Result<Dataset> {
+    open_times(path, 1.0)
+}
+
+/// As [`open_heights`], with heights in metres whatever their unit.
+///
+/// # Errors
+/// As [`open_dataset`]; a unit that is none of length.
+pub fn open_metres(path: &Path) -> Result<Dataset> {
+    let dataset = open_dataset(path)?;
+    let Ok(band) = dataset.rasterband(1) else { return Ok(dataset) };
+    let crs = Crs::parse(&dataset.projection()).ok();
+    open_times(path, HeightBand::of(path, &band, crs.as_ref())?.metres_per_value)
+}
+
+/// Heights of a model times a factor.
+fn open_times(path: &Path, factor: f64) -> Result<Dataset> {
     /// Nothing on Earth is as high.
     const VOID: f64 = -1e30;
     let (dataset, name) = without_voids(path)?;
     let Ok(band) = dataset.rasterband(1) else { return Ok(dataset) };
-    let (ratio, offset) = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
+    let (ratio, offset) = (factor * band.scale().unwrap_or(1.0), factor * band.offset().unwrap_or(0.0));
     if (ratio, offset) == (1.0, 0.0) {
         return Ok(dataset);
     }

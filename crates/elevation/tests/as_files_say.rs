@@ -477,6 +477,31 @@ fn drawings_of_a_scaled_model_are_those_of_its_heights() {
     assert!(lines[0] > 0 && lines[0] == lines[1], "{lines:?}");
 }
 
+#[test]
+fn contours_of_a_model_in_feet_lie_at_metres() {
+    use gdal::vector::LayerAccess;
+    let folder = tempfile::tempdir().expect("a folder");
+    let (metres, feet) = (folder.path().join("m.tif"), folder.path().join("ft.tif"));
+    model(&metres, "EPSG:32633", hills(0.0, 0.0), -10.0);
+    let in_feet: Vec<f64> = hills(0.0, 0.0).iter().map(|z| f64::from(*z) / 0.3048).collect();
+    let set = create::<f64>(&feet, (SIDE, SIDE), 1, "EPSG:32633", [500_000.0, 10.0, 0.0, 8_700_000.0, 0.0, -10.0]);
+    put(&set, 1, in_feet);
+    autoref_raster::set_height_unit(&feet, &set, "ft").expect("labelled");
+    drop(set);
+    let heights = [&metres, &feet].map(|model| {
+        let out = model.with_extension("geojson");
+        derive::contour(model, &out, 20.0, 5.0, MEMORY).expect("lines");
+        let lines = Dataset::open(&out).expect("a file of lines");
+        let mut layer = lines.layer(0).expect("a layer");
+        let mut heights: Vec<f64> =
+            layer.features().map(|line| line.field_as_double(1).expect("a field").expect("a height")).collect();
+        heights.sort_by(f64::total_cmp);
+        heights
+    });
+    assert!(heights[0].len() > 5 && heights[0].iter().all(|z| (z - 5.0) % 20.0 == 0.0), "{:?}", heights[0]);
+    assert_eq!(heights[0], heights[1]);
+}
+
 /// A raster of one band from its left edge on, as `value` has it at its columns and rows.
 fn strip<T: GdalType + Copy>(path: &Path, x0: f64, columns: usize, value: impl Fn(usize, usize) -> T) -> PathBuf {
     let set = create::<T>(path, (columns, 30), 1, "EPSG:32633", [x0, 10.0, 0.0, 300.0, 0.0, -10.0]);

@@ -111,6 +111,12 @@ impl Finder {
             let ways: Vec<Way> = as_good.iter().map(|n| (n.turn_deg, n.mirrored)).collect();
             named.say(&ways, (taken.turn_deg, taken.mirrored), self.taken_by(taken.is_upright()));
         }
+        if let (Some(turn_deg), None, true) = (options.turn_deg, options.mirrored, taken.mirrored.is_mirrored()) {
+            let ways = [0.0, 90.0, 180.0, 270.0].map(|turn| (turn, Handedness::AsIs));
+            let others = namings(&self.film, self.centre, &places, pose, &ways, alike);
+            let forced = forced_mirror(turn_deg, &taken, &others, same_px, 1e3 / pose.px_per_mm());
+            named.doubt = forced.or(named.doubt);
+        }
         let before = std::mem::replace(measured, vec![None; self.film.len()]);
         let from: Vec<usize> = places.iter().map(|p| p.0).collect();
         // Places that took no part in the naming follow it through the pose it gives.
@@ -137,6 +143,27 @@ impl Finder {
     }
 }
 
+/// Why a frame is doubtful that is mirrored only because its turn was given: one of `others`, unmirrored and best first,
+/// fits as well.
+fn forced_mirror(turn_deg: f64, taken: &Naming, others: &[Naming], same_px: f64, um_per_px: f64) -> Option<String> {
+    let other = others.first()?;
+    let fits = match (other.leaves_out, taken.leaves_out) {
+        (true, false) => false,
+        (false, true) => true,
+        _ => other.rms_px < taken.rms_px + same_px,
+    };
+    fits.then(|| {
+        format!(
+            "as --turn {turn_deg:.0} says, the film is mirrored; without it: turned by {:.0}°, not mirrored, RMSE {:.1} µm \
+             against {:.1} µm; say --mirrored if it is, else --turn {:.0}",
+            other.turn_deg,
+            other.rms_px * um_per_px,
+            taken.rms_px * um_per_px,
+            other.turn_deg
+        )
+    })
+}
+
 fn lies((turn_deg, mirrored): Way) -> String {
     let mirrored = if mirrored.is_mirrored() { ", mirrored" } else { "" };
     format!("turned by {turn_deg:.0}°{mirrored}")
@@ -145,6 +172,26 @@ fn lies((turn_deg, mirrored): Way) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::load_camera;
+    use autoref_raster::coords::PixelPoint;
+
+    #[test]
+    fn a_turn_that_forces_a_mirroring_is_doubted_where_another_turn_fits() {
+        let camera = load_camera("svalbard-zeiss-1936").expect("built in");
+        let (film, centre) = (camera.film_points(), camera.film_centre());
+        let middle = PixelPoint { x: 4800.0, y: 4700.0 };
+        let ways = [0.0, 90.0, 180.0, 270.0].map(|turn| (turn, Handedness::AsIs));
+        let doubt = |lies: Way| {
+            let pose = Pose::about(centre, middle, 40.0, lies.0, lies.1);
+            let places: Vec<_> = film.iter().map(|mm| pose.apply(*mm)).enumerate().collect();
+            let named = |ways: &[Way]| namings(&film, centre, &places, &pose, ways, |_, _| true);
+            let taken = named(&[(0.0, Handedness::Mirrored)]).remove(0);
+            forced_mirror(0.0, &taken, &named(&ways), 0.1, 25.0)
+        };
+        let said = doubt((180.0, Handedness::AsIs)).expect("turned by 180° it fits exactly");
+        assert!(said.contains("--turn 0 says") && said.contains("turned by 180°, not mirrored, RMSE 0.0 µm"), "{said}");
+        assert_eq!(doubt((0.0, Handedness::Mirrored)), None, "mirrored in truth");
+    }
 
     #[test]
     fn the_remedy_is_what_is_still_open() {

@@ -33,6 +33,9 @@ const TOLD_STRETCH: f64 = 0.003;
 /// or correlate better where only the file's lengths are off by a third.
 const MOST_MISFIT: f64 = 0.5;
 const HARDLY: f64 = 0.87;
+/// Where a pixel scatters by more of a mark's contrast, its four standard deviations nearly reach from the frame to the
+/// mark: no pixel stands out, and none fits, whatever the form.
+const MOST_NOISE: f64 = 0.2;
 
 /// What speaks against a frame as a whole, and what is worth knowing of it.
 #[derive(Default)]
@@ -115,16 +118,21 @@ impl Finder {
 /// alike, and a part of each (the crossing of a cross) resembles a smaller mark. Dust and scratches spoil some marks of
 /// a frame; where half of them neither fit nor correlate, it is their form.
 pub(super) fn doubt_of_shape(measured: &[Option<Measured>], used: &[usize]) -> Option<String> {
-    let of_lines = used.iter().filter_map(|k| measured[*k].as_ref()).filter_map(|m| Some((m.misfit?, m.score)));
-    let (misfits, scores): (Vec<f64>, Vec<f64>) = of_lines.unzip();
-    if misfits.is_empty() {
+    let of_lines: Vec<&Measured> =
+        used.iter().filter_map(|k| measured[*k].as_ref()).filter(|m| m.misfit.is_some()).collect();
+    if of_lines.is_empty() {
         return None;
     }
-    let (misfit, score) = (median(misfits), median(scores));
+    let middle = |of: fn(&Measured) -> Option<f64>| median(of_lines.iter().filter_map(|m| of(m)).collect());
+    let (misfit, score) = (middle(|m| m.misfit), middle(|m| Some(m.score)));
+    let noise = of_lines.iter().any(|m| m.noise.is_some()).then(|| middle(|m| m.noise)).filter(|n| *n > MOST_NOISE);
+    let noise = noise.map_or(String::new(), |noise| {
+        format!("noise or grain hides them (a pixel scatters by {:.0} % of their contrast), ", 100.0 * noise)
+    });
     (misfit > MOST_MISFIT && score < HARDLY).then(|| {
         format!(
-            "what is seen at the marks does not look like them (correlation {score:.2}): another camera's frame, or \
-             the lengths of the marks in the camera's file are wrong; correct them, or teach the marks with --learn"
+            "what is seen at the marks does not look like them (correlation {score:.2}): {noise}another camera's frame, \
+             or the lengths of the marks in the camera's file are wrong; correct them, or teach the marks with --learn"
         )
     })
 }
@@ -199,7 +207,15 @@ mod tests {
 
     fn measured(misfit: f64, score: f64) -> Option<Measured> {
         let centre = PixelPoint { x: 0.0, y: 0.0 };
-        Some(Measured { centre, covariance_px2: None, score, misfit: Some(misfit), body: None, reason: None })
+        Some(Measured {
+            centre,
+            covariance_px2: None,
+            score,
+            misfit: Some(misfit),
+            noise: Some(0.05),
+            body: None,
+            reason: None,
+        })
     }
 
     /// A speck in front of one mark, or lengths that are a fifth off, are no other camera's marks.
@@ -214,6 +230,17 @@ mod tests {
         assert!(!of(&[(0.6, 0.94), (0.66, 0.95), (0.6, 0.94), (0.7, 0.95)]), "larger than drawn");
         assert!(!of(&[(0.03, 0.60), (0.02, 0.61), (0.03, 0.60), (0.03, 0.62)]), "a soft scan");
         assert!(doubt_of_shape(&[None], &[0]).is_none());
+    }
+
+    #[test]
+    fn noise_is_named_where_it_may_be_the_cause() {
+        let said = |noise: f64| {
+            let all = [(1.0, 0.56), (0.9, 0.55), (1.0, 0.57)]
+                .map(|(misfit, score)| measured(misfit, score).map(|m| Measured { noise: Some(noise), ..m }));
+            doubt_of_shape(&all, &[0, 1, 2]).expect("nothing fits")
+        };
+        assert!(said(0.31).contains("noise or grain hides them (a pixel scatters by 31 % of their contrast), another"));
+        assert!(!said(0.05).contains("noise"));
     }
 
     /// The crossings of thin crosses look like dots, and lie where the dots of another camera would.

@@ -44,6 +44,8 @@ pub(super) struct Measured {
     pub score: f64,
     /// Of marks of lines, the share of its pixels and of those around it that do not fit.
     pub misfit: Option<f64>,
+    /// Of marks of lines, the standard deviation of a pixel about the drawn mark, of the mark's contrast.
+    pub noise: Option<f64>,
     /// Where the whole shape puts the reference point, for marks with a point of their own.
     pub body: Option<PixelPoint>,
     /// Why it is not to be trusted by itself.
@@ -282,6 +284,7 @@ impl Finder {
             covariance_px2: Some(r.covariance_px2),
             score: peak.score,
             misfit: None,
+            noise: None,
             body: None,
             reason: Some("only its hole is seen, not its shape".to_owned()),
         }))
@@ -305,6 +308,7 @@ impl Finder {
             covariance_px2: None,
             score: body.score,
             misfit: None,
+            noise: None,
             body: point_mm.map(|_| body.centre),
             reason: None,
         };
@@ -335,6 +339,7 @@ impl Finder {
                     measured.centre = r.centre;
                     measured.covariance_px2 = Some(r.covariance_px2);
                     measured.misfit = of_lines.as_ref().map(|_| r.misfit);
+                    measured.noise = of_lines.as_ref().map(|_| r.sigma / r.contrast);
                     let sigma = r.covariance_px2[0].max(r.covariance_px2[2]).sqrt();
                     if sigma > radius_mm * unit {
                         reasons.push("what is seen does not tell where its centre is".to_owned());

@@ -44,7 +44,7 @@ fn main() -> ExitCode {
         out::error_line(&format!("autoref-stream: {line}"));
         if files_as_json || asks_for_json(&matches) {
             let document = cli::errors::document(&error, &line);
-            out::product(&format!("{}\n", serde_json::to_string_pretty(&document).expect("plain data")));
+            out::product(&cli::errors::text(&document, matches.subcommand_name()));
         }
         ExitCode::from(2)
     });

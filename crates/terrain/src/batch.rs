@@ -75,8 +75,8 @@ fn make_mask(frame: &Path, folder: &Path, taught: &Taught, given: &Given, option
     }
     let mut report = report(frame, &names, &reduced, &classes, options, fingerprint);
     report.warnings.extend(by_hand::beside(frame, reduced.width, reduced.height, given));
-    // Its share is told; a mask less while the outlines are traced.
-    classes.unsure = None;
+    // Their share is told; two masks less while the outlines are traced.
+    (classes.unsure, classes.decided) = (None, None);
     let full = FullMask::new(frame, told_apart.as_ref().unwrap_or(&classes.keep), &reduced, given);
     let mut transaction = Transaction::new();
     let size = [reduced.width as usize, reduced.height as usize];

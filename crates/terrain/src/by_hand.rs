@@ -76,9 +76,7 @@ pub fn lay_over(frame: &Path, reduced: &Reduced, given: &Given, classes: &mut Cl
                     fill_labels(&mut fills, y, &mut row);
                     for (x, &label) in row.iter().enumerate().filter(|(_, label)| **label != SAYS_NOTHING) {
                         classes.keep.set(x, y, label == 1);
-                        if let Some(unsure) = &mut classes.unsure {
-                            unsure.set(x, y, false);
-                        }
+                        leave_to_the_person(classes, x, y);
                     }
                 }
             }
@@ -87,13 +85,24 @@ pub fn lay_over(frame: &Path, reduced: &Reduced, given: &Given, classes: &mut Cl
                 labelled.each_row(reduced, |y, labels| {
                     for (x, _) in labels.iter().enumerate().filter(|(_, label)| **label == meaning.label()) {
                         classes.keep.set(x, y, meaning == Meaning::Keep);
+                        leave_to_the_person(classes, x, y);
                     }
                 })?;
             }
         }
     }
     classes.keep.and(&reduced.valid);
+    if let (Some(seen), Some(decided)) = (&mut classes.seen, &classes.decided) {
+        seen.retain(decided);
+    }
     Ok(())
+}
+
+/// The classifier does not decide a pixel of which a person spoke.
+fn leave_to_the_person(classes: &mut Classes, x: usize, y: usize) {
+    for mask in [&mut classes.unsure, &mut classes.decided].into_iter().flatten() {
+        mask.set(x, y, false);
+    }
 }
 
 /// The labels of a row; later shapes win.

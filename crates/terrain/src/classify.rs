@@ -62,10 +62,12 @@ pub struct Classes {
     pub keep: BitMask,
     /// Where the votes are divided, where the method has votes.
     pub unsure: Option<BitMask>,
+    /// Where the votes count: pixels that hold something, more than one level, where the method has votes.
+    pub decided: Option<BitMask>,
     /// Probability of keep, 0…255, where the method has one.
     pub probability: Option<Plane>,
-    /// Share of the frame that is far from all that was taught, where the method knows.
-    pub unlike: Option<f64>,
+    /// The pixels that were compared with all that was taught, where the method knows.
+    pub seen: Option<Seen>,
     /// Share of the frame that is kept in an even area along the upper border, where the method has votes.
     pub kept_though_even: Option<f64>,
 }
@@ -76,6 +78,8 @@ struct Told {
     fineness: Vec<u8>,
     /// Votes of what ships alone, where a frame was taught.
     shipped: Vec<u8>,
+    /// Pixels whose window shows one level only: masked whatever the votes.
+    flat: Vec<bool>,
     seen: Seen,
 }
 
@@ -113,6 +117,7 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
     let (width, height) = (reduced.grey.width(), reduced.grey.height());
     let mut keep = BitMask::new(width, height);
     let mut unsure = matches!(classifier, Classifier::Forest(_)).then(|| BitMask::new(width, height));
+    let mut decided = unsure.clone();
     let (scale, mut votes) = match classifier {
         Classifier::Forest(learned) => {
             (Some(frame_scale(reduced)?), Some(Votes::new(learned, width, height, memory_bytes)?))
@@ -140,23 +145,27 @@ pub fn classify(reduced: &Reduced, classifier: &Classifier, cleaner: &Cleaner, m
                 if let Some(unsure) = &mut unsure {
                     unsure.set(x, y, UNSURE.contains(&vote));
                 }
+                if let Some(decided) = &mut decided {
+                    decided.set(x, y, !told.flat[i]);
+                }
             }
             if let Some(votes) = &mut votes {
                 votes.write(&core, &told)?;
             }
-            seen.add(told.seen);
+            seen.join(told.seen);
         }
     }
     // What holds nothing is no ground; it must not be closed over either.
     keep.and(&reduced.valid);
-    if let Some(unsure) = &mut unsure {
-        unsure.and(&reduced.valid);
+    if let (Some(unsure), Some(decided)) = (&mut unsure, &mut decided) {
+        decided.and(&reduced.valid);
+        unsure.and(decided);
     }
     keep = cleaned(keep, cleaner, reduced, votes.as_ref())?;
-    let unlike = scale.map(|_| seen.share());
+    let seen = scale.map(|_| seen);
     let probability = votes.map(|votes| votes.probability);
     let even = probability.as_ref().map(|votes| kept_though_even(&keep, votes, &reduced.valid)).transpose()?;
-    Ok(Classes { keep, unsure, probability, unlike, kept_though_even: even })
+    Ok(Classes { keep, unsure, decided, probability, seen, kept_though_even: even })
 }
 
 /// The mask of the pixels that `keep` has one by one.
@@ -193,6 +202,7 @@ fn told(reduced: &Reduced, classifier: &Classifier, scale: Option<&FrameScale>, 
             (y + margin) * measured.width + margin..(y + margin) * measured.width + margin + core.width as usize
         };
         let fineness = (0..core.height as usize).flat_map(|y| measured.fineness()[inner(y)].iter().copied()).collect();
+        let flat = (0..core.height as usize).flat_map(inner).map(|i| measured.is_flat(i)).collect();
         let votes = smooth_votes(&votes, measured.width, measured.height);
         // Means over masked areas are all that is asked of these votes: no other pixels, and not smoothed.
         let shipped = match &learned.shipped {
@@ -203,7 +213,7 @@ fn told(reduced: &Reduced, classifier: &Classifier, scale: Option<&FrameScale>, 
                 .collect(),
             None => Vec::new(),
         };
-        return Ok(Told { votes, fineness, shipped, seen });
+        return Ok(Told { votes, fineness, shipped, flat, seen });
     }
     let bounds = Window::whole(reduced.grey.width() as u64, reduced.grey.height() as u64);
     let read = core.grown(RADIUS_PX as u64, &bounds);
@@ -222,7 +232,7 @@ fn told(reduced: &Reduced, classifier: &Classifier, scale: Option<&FrameScale>, 
             out.push(if kept { 255 } else { 0 });
         }
     }
-    Ok(Told { votes: out, fineness: Vec::new(), shipped: Vec::new(), seen: Seen::default() })
+    Ok(Told { votes: out, fineness: Vec::new(), shipped: Vec::new(), flat: Vec::new(), seen: Seen::default() })
 }
 
 /// Looks at the lattice's pixels in `core` that show something.
@@ -232,8 +242,7 @@ fn look(known: &Known, reduced: &Reduced, scale: &FrameScale, measured: &Measure
     for (x, y) in Lattice::of(reduced.grey.width(), reduced.grey.height()).within(core) {
         let i = ((y - core.y) as usize + margin) * measured.width + (x - core.x) as usize + margin;
         if reduced.valid.get(x as usize, y as usize) && measured.shows_something(i) {
-            seen.looked_at += 1;
-            seen.far += u64::from(known.is_far(&scale.apply(measured, i)));
+            seen.add((x as usize, y as usize), known.is_far(&scale.apply(measured, i)));
         }
     }
     seen

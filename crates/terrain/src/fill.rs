@@ -91,6 +91,7 @@ mod tests {
                     // A level edge and corners on the pixels' centres beside what is drawn at random.
                     rings: vec![ring(), ring(), vec![[10.5, 10.5], [30.5, 10.5], [30.5, 20.5], [10.5, 20.5]]],
                     place: String::new(),
+                    file: None,
                 };
                 let (width, height) = (80_usize.div_ceil(factor), 60_usize.div_ceil(factor));
                 let mut fill = Fill::new(&shape, factor);

@@ -10,6 +10,7 @@ pub mod bits;
 pub mod by_hand;
 pub mod classify;
 pub mod clean;
+mod contradiction;
 pub mod entropy;
 pub mod explain;
 pub mod features;

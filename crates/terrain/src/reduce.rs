@@ -250,9 +250,9 @@ pub fn plane_memory(reading: &Reading) -> u64 {
     reading.memory_budget_bytes.saturating_sub(96 << 20) / 8
 }
 
-/// Masks that are held at a time: what holds anything, and two of what is kept, or that and what is unsure. And what
+/// Masks that are held at a time: what holds anything, what is decided and what is unsure, and what is kept. And what
 /// everything else takes.
-const MASKS_HELD: u64 = 3;
+const MASKS_HELD: u64 = 4;
 const BASE_BYTES: u64 = 64 << 20;
 
 fn check_memory(path: &Path, width: u64, height: u64, reading: &Reading) -> Result<()> {

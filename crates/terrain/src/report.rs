@@ -11,7 +11,7 @@ use crate::names::Names;
 use crate::options::{Method, Options};
 use crate::or_nothing::{self, or_nothing};
 use crate::reduce::Reduced;
-use crate::unlike::UNLIKE_SHARE;
+use crate::unlike::{Seen, UNLIKE_SHARE};
 
 /// Whether a frame was masked in this run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -50,9 +50,10 @@ pub struct Report {
     pub keep_share: f64,
     #[serde(deserialize_with = "or_nothing")]
     pub classes: Shares,
+    /// Share of unsure pixels among those that the classifier decides: neither empty, nor of one level, nor spoken of.
     #[serde(deserialize_with = "or_nothing")]
     pub unsure_share: f64,
-    /// Share of the frame that is far from all that was taught (`auto`).
+    /// Share of pixels far from all that was taught, among those looked at that the classifier decides (`auto`).
     #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "or_nothing")]
     pub unlike_share: Option<f64>,
     #[serde(deserialize_with = "or_nothing::texts")]
@@ -110,7 +111,8 @@ pub(crate) fn report(
     options: &Options,
     fingerprint: String,
 ) -> Report {
-    let (keep, unsure) = (classes.keep.share(), classes.unsure.as_ref().map_or(0.0, BitMask::share));
+    let (keep, unsure) = (classes.keep.share(), unsure_share(classes));
+    let unlike = classes.seen.as_ref().map(Seen::share);
     let empty = 1.0 - reduced.valid.share();
     let mut warnings = Vec::new();
     if keep < 0.02 {
@@ -119,9 +121,12 @@ pub(crate) fn report(
         warnings.push("almost nothing is masked".to_string());
     }
     if unsure > 0.15 {
-        warnings.push(format!("unsure about {:.0} % of the frame; teach it with --sample or --teach", 100.0 * unsure));
+        warnings.push(format!(
+            "unsure about {:.0} % of what is not masked for certain; teach it with --sample or --teach",
+            100.0 * unsure
+        ));
     }
-    if let Some(unlike) = classes.unlike.filter(|share| *share > UNLIKE_SHARE) {
+    if let Some(unlike) = unlike.filter(|share| *share > UNLIKE_SHARE) {
         warnings.push(format!(
             "this frame is unlike all teaching frames: {:.0} % of it look like nothing that was taught; teach one of its flight \
              with --teach",
@@ -146,7 +151,7 @@ pub(crate) fn report(
         keep_share: keep,
         classes: Shares { keep, mask: (1.0 - keep - empty).max(0.0), empty },
         unsure_share: unsure,
-        unlike_share: classes.unlike,
+        unlike_share: unlike,
         warnings,
         mask: names.mask.clone(),
         probability: classes.probability.as_ref().map(|_| names.probability.clone()),
@@ -156,6 +161,12 @@ pub(crate) fn report(
         contents: BTreeMap::new(),
         fingerprint,
     }
+}
+
+/// Share of unsure pixels among those that the classifier decides.
+fn unsure_share(classes: &Classes) -> f64 {
+    let count = |mask: &Option<BitMask>| mask.as_ref().map_or(0, BitMask::count) as f64;
+    count(&classes.unsure) / count(&classes.decided).max(1.0)
 }
 
 /// Kept in an even area along the upper border: a greater share of the frame is warned of.
@@ -173,4 +184,25 @@ fn horizon(keep: &BitMask) -> Option<usize> {
         |columns: std::ops::Range<usize>| (first..keep.height()).any(|y| columns.clone().any(|x| keep.get(x, y)));
     let sides = reaches(0..margin + 1) && reaches(keep.width() - margin - 1..keep.width());
     (first * 20 >= keep.height() && ground > 0.2 && sides).then_some(first)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_border_of_one_level_does_not_dilute_what_is_unsure() {
+        // Of eight columns four are black; two of the others are unsure.
+        let classes = Classes {
+            keep: BitMask::new(8, 3),
+            unsure: Some(BitMask::from_fn(8, 3, |x, _| x < 2)),
+            decided: Some(BitMask::from_fn(8, 3, |x, _| x < 4)),
+            probability: None,
+            seen: None,
+            kept_though_even: None,
+        };
+        assert_eq!(unsure_share(&classes), 0.5);
+        let nothing = Classes { unsure: None, decided: None, ..classes };
+        assert_eq!(unsure_share(&nothing), 0.0);
+    }
 }

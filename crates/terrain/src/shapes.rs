@@ -88,6 +88,8 @@ pub struct Shape {
     pub rings: Vec<Vec<[f64; 2]>>,
     /// Where it was given, for messages.
     pub place: String,
+    /// The list that it was read from. Later shapes of a list lie over earlier ones.
+    pub file: Option<PathBuf>,
 }
 
 impl Shape {
@@ -170,6 +172,7 @@ pub fn parse_sample(text: &str) -> std::result::Result<Shape, String> {
         frame,
         rings: vec![rectangle([x, y, width, height])],
         place: format!("`{text}`"),
+        file: None,
     })
 }
 
@@ -229,7 +232,14 @@ fn from_toml(path: &Path, text: &str) -> Result<Vec<Shape>> {
         let meaning = meaning(&sample.class).map_err(|what| Error::format(path, &place, what))?;
         checked(
             path,
-            Shape { meaning, class: sample.class, frame: sample.frame.or_else(|| file.frame.clone()), rings, place },
+            Shape {
+                meaning,
+                class: sample.class,
+                frame: sample.frame.or_else(|| file.frame.clone()),
+                rings,
+                place,
+                file: Some(path.into()),
+            },
         )
     };
     file.sample.into_iter().enumerate().map(shape).collect()
@@ -277,7 +287,14 @@ fn from_geojson(path: &Path, text: &str) -> Result<Vec<Shape>> {
             let meaning = meaning(class).map_err(wrong)?;
             shapes.push(checked(
                 path,
-                Shape { class: class.into(), meaning, frame: frame.clone(), rings, place: place.clone() },
+                Shape {
+                    class: class.into(),
+                    meaning,
+                    frame: frame.clone(),
+                    rings,
+                    place: place.clone(),
+                    file: Some(path.into()),
+                },
             )?);
         }
     }

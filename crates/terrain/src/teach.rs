@@ -6,6 +6,7 @@ use autoref_raster::error::{Error, Result};
 use autoref_raster::fingerprint::size_and_time;
 
 use crate::classify::Classifier;
+use crate::contradiction::check_sides;
 use crate::given::Given;
 use crate::knn::Neighbours;
 use crate::model::{self, Labels};
@@ -50,7 +51,8 @@ fn frame_of(shape: &Shape, frames: &[PathBuf]) -> Result<PathBuf> {
 /// Reads what is taught and makes the classifier of it.
 ///
 /// # Errors
-/// When a frame or mask cannot be read, a sample lies outside its frame, or a class has no samples.
+/// When a frame or mask cannot be read, a sample lies outside its frame, a class has no samples, or the same pixels are
+/// taught both ways.
 pub fn teach(frames: &[PathBuf], given: &Given, options: &Options) -> Result<Taught> {
     let _span = tracing::info_span!("teach").entered();
     let mut by_frame: Vec<(PathBuf, Vec<&Shape>, Option<&Path>)> = Vec::new();
@@ -96,6 +98,7 @@ fn learn(by_frame: Vec<(PathBuf, Vec<&Shape>, Option<&Path>)>, options: &Options
         if let Some(mask) = mask {
             labels.read_mask(mask, &reduced)?;
         }
+        check_sides(&path, &reduced, &shapes, mask.map(|mask| (mask, &labels)))?;
         if options.method == Method::Thesis2017 {
             samples.extend(model::thesis_samples(&reduced, &shapes)?);
             samples.extend(model::labelled_samples(&reduced, &labels)?);

@@ -2,6 +2,7 @@
 
 use autoref_raster::window::Window;
 
+use crate::bits::BitMask;
 use crate::features::FEATURES;
 use crate::forest::Example;
 
@@ -53,22 +54,27 @@ impl Lattice {
     }
 }
 
-/// How many pixels were looked at, and how many of them are far.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Seen {
-    pub looked_at: u64,
-    pub far: u64,
-}
+/// The pixels that were looked at, x and y, with whether they are far.
+#[derive(Clone, Debug, Default)]
+pub struct Seen(Vec<((usize, usize), bool)>);
 
 impl Seen {
-    pub fn add(&mut self, other: Seen) {
-        self.looked_at += other.looked_at;
-        self.far += other.far;
+    pub(crate) fn add(&mut self, at: (usize, usize), is_far: bool) {
+        self.0.push((at, is_far));
+    }
+
+    pub(crate) fn join(&mut self, other: Seen) {
+        self.0.extend(other.0);
+    }
+
+    /// Leaves out what the classifier does not decide.
+    pub(crate) fn retain(&mut self, decided: &BitMask) {
+        self.0.retain(|&((x, y), _)| decided.get(x, y));
     }
 
     /// Share of far pixels, 0…1.
     pub fn share(&self) -> f64 {
-        self.far as f64 / (self.looked_at as f64).max(1.0)
+        self.0.iter().filter(|(_, is_far)| *is_far).count() as f64 / (self.0.len() as f64).max(1.0)
     }
 }
 
@@ -87,6 +93,17 @@ mod tests {
         parts.sort_unstable_by_key(|&(x, y)| (y, x));
         assert_eq!(parts, whole);
         assert!((900..1400).contains(&whole.len()), "{}", whole.len());
+    }
+
+    #[test]
+    fn what_is_not_decided_has_no_share() {
+        let mut seen = Seen::default();
+        [1, 3, 5, 7].into_iter().for_each(|x| seen.add((x, 0), x > 4));
+        assert_eq!(seen.share(), 0.5);
+        seen.retain(&BitMask::from_fn(8, 1, |x, _| x != 7));
+        assert!((seen.share() - 1.0 / 3.0).abs() < 1e-12);
+        seen.retain(&BitMask::new(8, 1));
+        assert_eq!(seen.share(), 0.0);
     }
 
     #[test]

@@ -310,6 +310,70 @@ fn what_is_stale_or_gone_is_noticed() {
 }
 
 #[test]
+fn what_a_person_masks_is_nothing_to_be_unsure_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let frame = folder.path().join("a.tif");
+    draw(&frame, 1, 1.0, &[]);
+    let options = options(Method::Auto);
+    let taught = teach(std::slice::from_ref(&frame), &Given::default(), &options).unwrap();
+    let report = |given: &Given| mask_frame(&frame, folder.path(), &taught, given, &options).unwrap().report;
+    let whole = folder.path().join("global.tif");
+    write_mask(&whole, |_, _| 0);
+    for given in [
+        // Beyond the frame: half a cell of the analysis lies there.
+        Given { global: vec![parse_sample("mask=0,0,1210,810").unwrap()], ..Given::default() },
+        Given { global_mask: Some(whole), ..Given::default() },
+    ] {
+        let report = report(&given);
+        assert_eq!((report.unsure_share, report.unlike_share), (0.0, Some(0.0)));
+    }
+}
+
+#[test]
+fn pixels_taught_both_ways_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let frame = at("a.tif");
+    draw(&frame, 1, 1.0, &[]);
+    let sample = |text: &str| parse_sample(text).unwrap();
+    let taught = |given: &Given, method: Method| {
+        teach(std::slice::from_ref(&frame), given, &options(method)).err().map(|error| error.to_string())
+    };
+    let both =
+        Given { samples: vec![sample("water=100,100,60,60"), sample("ground=140,120,60,60")], ..Given::default() };
+    for method in [Method::Auto, Method::Thesis2017] {
+        let said = taught(&both, method).expect("they overlap");
+        for word in
+            ["a.tif", "`ground=140,120,60,60` says keep", "`water=100,100,60,60` says mask", "140, 120 to 160, 160"]
+        {
+            assert!(said.contains(word), "{said}");
+        }
+    }
+    // A drawn mask against a sample.
+    let mask = at("taught.tif");
+    write_mask(&mask, |x, _| if x < 600 { 1 } else { 255 });
+    let mut given = Given { samples: vec![sample("water=500,0,200,10")], ..Given::default() };
+    given.lessons = vec![Lesson { frame: frame.clone(), mask }];
+    let said = taught(&given, Method::Auto).expect("the mask says keep");
+    assert!(said.contains("taught.tif says keep") && said.contains("500, 0 to 600, 10"), "{said}");
+    // Sides that touch, and classes of one side, agree.
+    let apart = ["ground=100,100,60,60", "water=160,100,60,60", "glacier=110,110,20,20"].map(sample);
+    assert_eq!(taught(&Given { samples: apart.to_vec(), ..Given::default() }, Method::Auto), None);
+    // In one list a lake lies on its shore; nothing is left of what it covers wholly.
+    let list = |lake: &str| {
+        let path = at("list.toml");
+        let text = format!(
+            "[[sample]]\nclass = \"ground\"\nrectangle = [100, 100, 60, 60]\n[[sample]]\nclass = \"water\"\nrectangle = {lake}\n"
+        );
+        std::fs::write(&path, text).unwrap();
+        Given { samples: shapes::read(&path).unwrap(), ..Given::default() }
+    };
+    assert_eq!(taught(&list("[120, 120, 20, 20]"), Method::Auto), None);
+    let said = taught(&list("[100, 100, 60, 60]"), Method::Auto).expect("nothing is left");
+    assert!(said.contains("sample 1 of") && said.contains("sample 2 of"), "{said}");
+}
+
+#[test]
 fn faults_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);

@@ -387,6 +387,8 @@ impl Classes {
     fn statistics(&self, group: usize) -> Statistics {
         let moments = &self.moments[group];
         let Distribution { quantiles, median, .. } = &self.distributions[group];
+        // No difference has no sign.
+        let unsigned = |value: f32| f64::from(value) + 0.0;
         let percentiles_m = PERCENTS
             .iter()
             .zip(quantiles)
@@ -398,12 +400,12 @@ impl Classes {
             class: self.groups.names[group].1.clone(),
             n: moments.n,
             mean_m: moments.mean(),
-            median_m: Some(*median).filter(|q| q.is_finite()),
+            median_m: Some(*median + 0.0).filter(|q| q.is_finite()),
             sd_m: moments.sd(),
             nmad_m: self.nmad(group),
             rmse_m: moments.rmse(),
-            min_m: moments.low.map(f64::from),
-            max_m: moments.high.map(f64::from),
+            min_m: moments.low.map(unsigned),
+            max_m: moments.high.map(unsigned),
             share_within: (moments.n > 0).then(|| moments.within as f64 / moments.n as f64),
             percentiles_m,
         }

@@ -31,11 +31,11 @@ fn name(path: &str) -> &str {
 }
 
 fn figure(value: Option<f64>) -> String {
-    value.map_or("–".into(), |v| format!("{v:.3}"))
+    value.map_or("–".into(), |v| format!("{:.3}", if v.abs() < 5e-4 { 0.0 } else { v }))
 }
 
 fn whole(value: Option<f64>) -> String {
-    value.map_or("–".into(), |v| format!("{v:.0}"))
+    value.map_or("–".into(), |v| format!("{:.0}", if v.abs() < 0.5 { 0.0 } else { v }))
 }
 
 fn page(summary: &Summary, map: &serde_json::Value) -> String {

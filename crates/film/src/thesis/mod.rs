@@ -247,6 +247,7 @@ fn correct(grey: &Grey, px_per_mm: f64, predicted: Predicted, detected: Option<P
         covariance_px2: None,
         score: detected.map_or(0.0, |d| d.score),
         misfit: None,
+        noise: None,
         body: Some(predicted.at),
         reason,
     }

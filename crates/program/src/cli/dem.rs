@@ -18,7 +18,7 @@ use autoref_raster::atomic::{self, Existing};
 use autoref_raster::cells::csv_text;
 use clap::{Args, Subcommand, ValueEnum};
 
-use crate::cli::values::{Bytes, positive};
+use crate::cli::values::{Bytes, positive, unsigned_zero};
 use align::{AlignArgs, align};
 use drawings::{ColourArgs, GradientArgs, HillshadeArgs, NeighbourArgs, SlopeArgs, TriArgs};
 
@@ -163,10 +163,10 @@ struct ContourArgs {
     /// The file of lines: .gpkg, .geojson or .shp.
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
-    /// Height between two lines.
+    /// Height between two lines, metres whatever the model's unit; so is `elev`.
     #[arg(long, value_name = "M", allow_hyphen_values = true)]
     interval: f64,
-    /// A height at which a line lies.
+    /// A height at which a line lies, metres.
     #[arg(long, value_name = "M", default_value_t = 0.0, allow_hyphen_values = true)]
     base: f64,
     /// Replace the output when it exists.
@@ -328,7 +328,7 @@ fn check_replaceable(folder: &Path) -> anyhow::Result<()> {
 }
 
 fn print(summary: &Summary, folder: &Path) {
-    let figure = |value: Option<f64>| value.map_or("–".to_string(), |v| format!("{v:.4}"));
+    let figure = |value: Option<f64>| value.map_or("–".to_string(), |v| format!("{:.4}", unsigned_zero(v, 4)));
     println!("Differences          A − B, {} cells", summary.common_cells);
     match summary.mean_se_m.zip(summary.effective_n) {
         Some((se_m, n)) => {
@@ -345,9 +345,15 @@ fn print(summary: &Summary, folder: &Path) {
     println!("Heights              {}", summary.heights);
     for volume in &summary.volumes {
         match volume.volume_m3.zip(volume.volume_se_m3) {
-            Some((m3, se_m3)) => println!("Volume               {}: {m3:.0} ± {se_m3:.0} m³", volume.zone),
+            Some((m3, se_m3)) => {
+                println!("Volume               {}: {:.0} ± {se_m3:.0} m³", volume.zone, unsigned_zero(m3, 0))
+            }
             None => match volume.volume_m3 {
-                Some(m3) => println!("Volume               {}: {m3:.0} m³, how well is not known", volume.zone),
+                Some(m3) => println!(
+                    "Volume               {}: {:.0} m³, how well is not known",
+                    volume.zone,
+                    unsigned_zero(m3, 0)
+                ),
                 None => println!("Volume               {}: no cell of both models lies in it", volume.zone),
             },
         }

@@ -20,6 +20,18 @@ pub fn document(error: &anyhow::Error, line: &str) -> Value {
     json!({"error": {"kind": kind, "file": file, "place": place, "message": line, "remedy": remedy}})
 }
 
+/// Commands that print a line of JSON for each frame.
+const IN_LINES: [&str; 2] = ["fiducials", "mask"];
+
+/// The document as `command` prints it: on one line where its results are.
+pub fn text(document: &Value, command: Option<&str>) -> String {
+    let in_lines = command.is_some_and(|command| IN_LINES.contains(&command));
+    if in_lines {
+        return format!("{document}\n");
+    }
+    format!("{}\n", serde_json::to_string_pretty(document).expect("plain data"))
+}
+
 type Parts<'a> = (&'static str, Option<&'a std::path::PathBuf>, Option<&'a String>, Option<Cow<'a, str>>);
 
 fn parts(error: &Error) -> Parts<'_> {
@@ -110,6 +122,14 @@ mod tests {
         );
         let usage = document(&Error::usage("an output exists", "give --overwrite").into(), "said");
         assert_eq!((&usage["error"]["kind"], &usage["error"]["remedy"]), (&json!("usage"), &json!("give --overwrite")));
+    }
+
+    #[test]
+    fn an_error_among_lines_is_a_line() {
+        let error = json!({"error": {"kind": "usage"}});
+        for (command, lines) in [(Some("mask"), 1), (Some("fiducials"), 1), (Some("detect"), 5), (None, 5)] {
+            assert_eq!(text(&error, command).lines().count(), lines, "{command:?}");
+        }
     }
 
     #[test]

@@ -193,6 +193,7 @@ impl CameraMask {
             frame: Some(frame.to_string_lossy().into_owned()),
             rings,
             place: format!("{class} of --camera {}", camera.name),
+            file: None,
         };
         let r = self.marks_mm;
         let mut shapes: Vec<Shape> = camera

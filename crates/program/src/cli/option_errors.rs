@@ -23,7 +23,8 @@ pub fn tell(error: &clap::Error, arguments: &[OsString]) -> ExitCode {
     if arguments.iter().take_while(|a| *a != "--").any(|a| a == "--json") {
         let said =
             json!({"kind": "usage", "file": null, "place": null, "message": line, "remedy": format!("see {help}")});
-        out::product(&format!("{}\n", serde_json::to_string_pretty(&json!({"error": said})).expect("plain data")));
+        let first = arguments.iter().skip(1).filter_map(|word| word.to_str()).find(|word| !word.starts_with('-'));
+        out::product(&super::errors::text(&json!({"error": said}), first));
     }
     ExitCode::from(2)
 }

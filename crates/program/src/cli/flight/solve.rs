@@ -304,7 +304,7 @@ impl<'a> Ready<'a> {
         let found = GcpStage::of(&placed, &ground, model, &world, control.crs_label());
         let page = stage_pages::gcp(&found, &record.pictures(flight.size_px));
         if record.put(Stage::Gcp, &found, &page)? == After::Ends {
-            return Ok(Found::Gcp(found));
+            return Ok(Found::Gcp(Box::new(found)));
         }
 
         let turned = if by_micmac { None } else { footprints::let_go_of_turned(&mut rough, model, &placed.similarity) };
