@@ -258,8 +258,8 @@ const MOST_LEVELS: f64 = 100_000.0;
 /// `interval`, `base` and the lines' heights are in metres, whatever the model's unit.
 ///
 /// # Errors
-/// A unit of height that is none of length; an interval that is not positive or cuts the model's heights into more than 100,000 levels; GDAL's own words, when
-/// it cannot.
+/// A unit of height that is none of length; an interval that is not positive or cuts the model's heights into more than
+/// 100,000 levels; GDAL's own words, when it cannot.
 pub fn contour(model: &Path, out: &Path, interval: f64, base: f64, memory_budget_bytes: u64) -> Result<u64> {
     use gdal::spatial_ref::SpatialRef;
     use gdal::vector::{FieldDefn, LayerAccess, LayerOptions, OGRFieldType, OGRwkbGeometryType};

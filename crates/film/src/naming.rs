@@ -143,8 +143,8 @@ impl Finder {
     }
 }
 
-/// Why a frame is doubtful that is mirrored only because its turn was given: one of `others`, unmirrored and best first,
-/// fits as well.
+/// Why a frame is doubtful that is mirrored only because its turn was given: one of `others`, unmirrored and best
+/// first, fits as well.
 fn forced_mirror(turn_deg: f64, taken: &Naming, others: &[Naming], same_px: f64, um_per_px: f64) -> Option<String> {
     let other = others.first()?;
     let fits = match (other.leaves_out, taken.leaves_out) {

@@ -20,8 +20,8 @@ pub(super) fn score_block_px(grid: &Grid) -> u64 {
     px
 }
 
-/// The variance of a parameter over the inverse of its normal equations where residuals hang together nowhere: E ψ² / E ψ'
-/// of the biweight for normal noise.
+/// The variance of a parameter over the inverse of its normal equations where residuals hang together nowhere: E ψ² /
+/// E ψ' of the biweight for normal noise.
 const WHITE: f64 = 0.8;
 
 /// The covariance of the parameters from what each block of cells moves the solution by (the sandwich of P. Huber, *The
