@@ -18,18 +18,25 @@ use crate::shapes::{Meaning, SAYS_NOTHING, Shape};
 
 /// One word of a person, over all that lies before it.
 enum Layer<'a> {
-    /// Later shapes win among themselves.
-    Shapes(Vec<&'a Shape>),
+    /// Shapes with what each says; later ones win among themselves.
+    Shapes(Vec<(&'a Shape, u8)>),
     /// A raster of the frame's size; its pixels of this meaning count.
     Raster(&'a Path, Meaning),
 }
 
 /// What was marked as keep, global masks, and what was mended, in this order.
 fn layers<'a>(frame: &Path, given: &'a Given) -> Vec<Layer<'a>> {
-    let of = |shapes: &'a [Shape]| -> Vec<&'a Shape> { shapes.iter().filter(|shape| shape.is_of(frame)).collect() };
-    // A sample that names no frame is of the only frame there is.
+    let of = |shapes: &'a [Shape]| -> Vec<(&'a Shape, u8)> {
+        shapes.iter().filter(|shape| shape.is_of(frame)).map(|shape| (shape, shape.meaning.label())).collect()
+    };
+    // A sample that names no frame is of the only frame there is. A lake that is drawn on its shore teaches what to
+    // mask: there the classifier decides.
     let mut samples = of(&given.samples);
-    samples.retain(|shape| shape.meaning == Meaning::Keep);
+    let keep = Meaning::Keep.label();
+    samples.iter_mut().filter(|(_, label)| *label != keep).for_each(|(_, label)| *label = SAYS_NOTHING);
+    if samples.iter().all(|(_, label)| *label == SAYS_NOTHING) {
+        samples.clear();
+    }
     let lessons = given.lessons.iter().filter(|lesson| same_file(&lesson.frame, frame));
     let mut layers = vec![Layer::Shapes(samples)];
     layers.extend(lessons.map(|lesson| Layer::Raster(&lesson.mask, Meaning::Keep)));
@@ -71,7 +78,7 @@ pub fn lay_over(frame: &Path, reduced: &Reduced, given: &Given, classes: &mut Cl
         match layer {
             Layer::Shapes(shapes) => {
                 let mut fills: Vec<(u8, Fill)> =
-                    shapes.iter().map(|shape| (shape.meaning.label(), Fill::new(shape, reduced.factor))).collect();
+                    shapes.iter().map(|(shape, label)| (*label, Fill::new(shape, reduced.factor))).collect();
                 for y in 0..height {
                     fill_labels(&mut fills, y, &mut row);
                     for (x, &label) in row.iter().enumerate().filter(|(_, label)| **label != SAYS_NOTHING) {
@@ -151,7 +158,7 @@ impl<'a> FullMask<'a> {
         let open = |layer: &Layer<'a>| -> Result<Open<'a>> {
             Ok(match layer {
                 Layer::Shapes(shapes) => {
-                    Open::Shapes(shapes.iter().map(|shape| (shape.meaning.label(), Fill::new(shape, 1))).collect())
+                    Open::Shapes(shapes.iter().map(|(shape, label)| (*label, Fill::new(shape, 1))).collect())
                 }
                 Layer::Raster(path, meaning) => {
                     let (_, dataset) = autoref_raster::open_dataset(path, 0)?;

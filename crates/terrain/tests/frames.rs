@@ -213,6 +213,23 @@ fn what_a_person_says_holds() {
     assert_eq!([at(1040, 540), at(150, 120), at(50, 730), at(1130, 730)], [1, 0, 0, 0]);
 }
 
+/// Where a lake is drawn on the shore that is to be kept, the classifier decides, taught that it is water.
+#[test]
+fn a_lake_on_its_shore_is_not_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let frame = folder.path().join("a.tif");
+    draw(&frame, 1, 1.0, &[]);
+    let list = folder.path().join("list.toml");
+    let sample = |class: &str, rectangle: &str| format!("[[sample]]\nclass = \"{class}\"\nrectangle = {rectangle}\n");
+    let text = sample("ground", "[1000, 500, 80, 80]") + &sample("water", "[1020, 520, 40, 40]");
+    std::fs::write(&list, text).unwrap();
+    let mut given = samples();
+    given.samples.extend(shapes::read(&list).unwrap());
+    let mask = run(&frame, folder.path(), &given, &options(Method::Auto));
+    let at = |x: usize, y: usize| mask[y * SIZE.0 + x];
+    assert_eq!([at(1004, 504), at(1040, 540)], [1, 0]);
+}
+
 #[test]
 fn what_a_person_says_holds_to_the_pixel() {
     let folder = tempfile::tempdir().unwrap();
