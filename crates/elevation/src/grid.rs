@@ -1,5 +1,7 @@
 //! Where the cells of a north-up raster lie, and how long they are on the ground.
 
+use nalgebra::Vector3;
+
 use crate::coords::GeoTransform;
 use crate::crs::Crs;
 
@@ -80,13 +82,16 @@ pub struct Stretch {
     along: [f64; TERMS],
 }
 
-/// Terms of a stretch: for a map of the whole Earth good to half a per cent, of a country to a millionth.
+/// Terms of a stretch: for a map of the whole Earth good to a fifth of a per cent, of a country to a millionth.
 const TERMS: usize = 11;
 /// A unit that differs less from a metre of the ground is the map's own business, as in UTM.
 const STRETCHED: f64 = 0.01;
+/// The cosine of the angle between the axes on the ground, up to which a cell's area is the product of its sides.
+const ASLANT: f64 = 0.02;
 
 impl Stretch {
-    /// `None` where no row is stretched by more than a hundredth, or the CRS does not say where the rows lie.
+    /// `None` where no row is stretched by more than a hundredth, where the axes are not at right angles on the ground
+    /// (as in sinusoidal maps, whose areas are the ground's all the same), or the CRS does not say where all rows lie.
     pub fn of(grid: &Grid, crs: &Crs) -> Option<Stretch> {
         let [_, south, _, north] = grid.bounds();
         let (x, middle, half) = (grid.centre().0, (south + north) / 2.0, (north - south) / 2.0);
@@ -96,16 +101,15 @@ impl Stretch {
             .map(|k| middle + half * angle(k).cos())
             .flat_map(|y| [(x - step, y), (x + step, y), (x, y - step), (x, y + step)])
             .collect();
-        let degrees = crs.own_longitudes_latitudes(&places)?;
-        let sides = degrees.as_chunks::<4>().0.iter().map(|[west, east, south, north]| {
-            let (mx, my) = GroundUnit::WGS84.metres_per_unit((south.1 + north.1) / 2.0);
-            let length = |a: &(f64, f64), b: &(f64, f64)| {
-                let turned = (b.0 - a.0 + 180.0).rem_euclid(360.0) - 180.0;
-                (turned * mx).hypot((b.1 - a.1) * my) / (2.0 * step)
-            };
-            (length(west, east), length(south, north))
+        let on_ground = crs.on_own_ellipsoid(&places)?;
+        // The chord between two places: longitudes turn about a pole.
+        let apart = |a: &[f64; 3], b: &[f64; 3]| Vector3::from(*b) - Vector3::from(*a);
+        let sides = on_ground.as_chunks::<4>().0.iter().map(|[west, east, south, north]| {
+            let (across, along) = (apart(west, east), apart(south, north));
+            let is_aslant = across.dot(&along).abs() > ASLANT * across.norm() * along.norm();
+            (!is_aslant).then(|| (across.norm() / (2.0 * step), along.norm() / (2.0 * step)))
         });
-        let (across, along): (Vec<f64>, Vec<f64>) = sides.unzip();
+        let (across, along): (Vec<f64>, Vec<f64>) = sides.collect::<Option<Vec<_>>>()?.into_iter().unzip();
         let is_plain = |metres: &f64| (metres / crs.metres_per_unit() - 1.0).abs() <= STRETCHED;
         let is_length = |metres: &f64| metres.is_normal() && *metres > 0.0;
         let mut all = across.iter().chain(&along);
@@ -190,8 +194,37 @@ mod tests {
             assert!((along / expected.1 - 1.0).abs() < 1e-6, "{y}: {along} for {}", expected.1);
         }
         let whole = GroundUnit::Stretched(Stretch::of(&grid_of(-2e7, 2e7, 40_000.0), &crs).expect("stretched"));
-        let (across, _) = whole.metres_per_unit(0.0);
-        assert!((across - 1.0).abs() < 0.01, "{across}");
+        for y in [0.0, 4e6, 9e6, 1.3e7, 1.9e7f64] {
+            let (across, expected) = (whole.metres_per_unit(y).0, 1.0 / (y / 6_378_137.0).cosh());
+            assert!((across / expected - 1.0).abs() < 0.006, "{y}: {across} for {expected}");
+        }
+    }
+
+    /// Wherever the pole lies in the grid: a row goes through it.
+    #[test]
+    fn polar_maps_are_stretched_alike_in_all_rows() {
+        for (code, centre, at_pole) in [(3413, 0.0, 1.0 / 0.9698), (3031, 0.0, 1.0 / 0.9727)] {
+            let crs = Crs::from_epsg(code).expect("PROJ knows it");
+            for beside in [0.0, 50_000.0] {
+                let corner = (centre - 1e6 + beside, centre + 1e6 + beside);
+                let unit = GroundUnit::Stretched(Stretch::of(&grid_of(corner.0, corner.1, 2000.0), &crs).expect("far"));
+                for y in [0.0, 190_000.0, -400_000.0, 900_000.0] {
+                    let (across, along) = unit.metres_per_unit(centre + y);
+                    assert!((across / at_pole - 1.0).abs() < 0.01, "{code}, {y}: {across} for {at_pole}");
+                    assert!((along / across - 1.0).abs() < 1e-3, "{code}, {y}: {across} and {along}");
+                }
+            }
+        }
+        let ups = Crs::from_epsg(32661).expect("PROJ knows it");
+        assert_eq!(Stretch::of(&grid_of(1e6, 3e6, 2000.0), &ups), None, "within a hundredth");
+    }
+
+    #[test]
+    fn the_moon_is_measured_on_the_moon_and_slanting_axes_are_left() {
+        let moon = Crs::parse("+proj=eqc +R=1737400 +units=m +no_defs").expect("PROJ knows it");
+        assert_eq!(Stretch::of(&grid_of(-1000.0, 1000.0, 2.0), &moon), None);
+        let sinusoidal = Crs::parse("+proj=sinu +datum=WGS84 +units=m +no_defs").expect("PROJ knows it");
+        assert_eq!(Stretch::of(&grid_of(3_300_000.0, 6_660_000.0, 16.0), &sinusoidal), None);
     }
 
     #[test]

@@ -29,16 +29,21 @@ fn layers<'a>(frame: &Path, given: &'a Given) -> Vec<Layer<'a>> {
     let of = |shapes: &'a [Shape]| -> Vec<(&'a Shape, u8)> {
         shapes.iter().filter(|shape| shape.is_of(frame)).map(|shape| (shape, shape.meaning.label())).collect()
     };
-    // A sample that names no frame is of the only frame there is. A lake that is drawn on its shore teaches what to
-    // mask: there the classifier decides.
-    let mut samples = of(&given.samples);
-    let keep = Meaning::Keep.label();
-    samples.iter_mut().filter(|(_, label)| *label != keep).for_each(|(_, label)| *label = SAYS_NOTHING);
-    if samples.iter().all(|(_, label)| *label == SAYS_NOTHING) {
-        samples.clear();
+    // A sample that names no frame is of the only frame there is. In a list of polygons a lake may be drawn on its
+    // shore: there the classifier decides, taught that it is something to mask.
+    let samples = of(&given.samples);
+    let (keep, mask) = (Meaning::Keep.label(), Meaning::Mask.label());
+    let counts = |label: u8, is_listed: bool| label == keep || (label == mask && is_listed);
+    let mut layers: Vec<Layer> = Vec::new();
+    for one_list in samples.chunk_by(|(a, _), (b, _)| a.file == b.file) {
+        let shapes = one_list.iter().filter(|(shape, label)| counts(*label, shape.file.is_some()));
+        let label = |label: u8| if label == keep { keep } else { SAYS_NOTHING };
+        let shapes: Vec<(&Shape, u8)> = shapes.map(|(shape, said)| (*shape, label(*said))).collect();
+        if shapes.iter().any(|(_, label)| *label == keep) {
+            layers.push(Layer::Shapes(shapes));
+        }
     }
     let lessons = given.lessons.iter().filter(|lesson| same_file(&lesson.frame, frame));
-    let mut layers = vec![Layer::Shapes(samples)];
     layers.extend(lessons.map(|lesson| Layer::Raster(&lesson.mask, Meaning::Keep)));
     layers.push(Layer::Shapes(of(&given.global)));
     layers.extend(given.global_mask.as_deref().map(|path| Layer::Raster(path, Meaning::Mask)));

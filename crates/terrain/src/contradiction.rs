@@ -34,6 +34,10 @@ impl<'a> Filled<'a> {
     /// Pixels that lie in both.
     fn shared(&self, other: &Filled<'_>) -> Shared {
         let mut shared = Shared::default();
+        let ([left, top, right, bottom], others) = (self.shape.bounds(), other.shape.bounds());
+        if left > others[2] || right < others[0] || top > others[3] || bottom < others[1] {
+            return shared;
+        }
         for &(y, start, end) in &self.runs {
             let first = other.runs.partition_point(|run| run.0 < y);
             for &(_, from, to) in other.runs[first..].iter().take_while(|run| run.0 == y) {

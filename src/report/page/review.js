@@ -1,5 +1,8 @@
 // What a review changes, apart from how it looks. The rules are those of src/review/replay.rs.
 const Review = (() => {
+  // Less is no misfit: src/result/misfit.rs.
+  const LEAST_MISFIT_PX = 2;
+
   // The marks as the run left them; those of a refused run are proposals until somebody accepts them.
   const initial = (points) => points.map((p) => (p.mark ? { mark: p.mark, used: p.state === "found", verdict: null } : null));
 
@@ -74,9 +77,18 @@ const Review = (() => {
         }
       });
     }
+    flagFar(rows.filter((r, i) => r && points[i].role === "check"));
     const checks = points.map((p, i) => (p.role === "check" ? rows[i] : null)).filter((r) => r);
     const checkRmse = checks.length ? Math.sqrt(checks.reduce((s, r) => s + r.e * r.e + r.n * r.n, 0) / checks.length) : null;
     return { solution, fit, chosen, rows, control: control.length, checks: checks.length, checkRmse };
+  }
+
+  // Check points that are much farther off than the others: `flag_far` of the program.
+  function flagFar(checks) {
+    if (!checks.length) return;
+    const lengths = checks.map((r) => r.px).sort((a, b) => a - b), half = lengths[Math.floor((lengths.length - 1) / 2)];
+    const limit = Math.max(4.5 * half / 1.1774, LEAST_MISFIT_PX);
+    checks.forEach((r) => { r.outlier = r.px > limit; });
   }
 
   // Nudges of one mark in a row are one move.

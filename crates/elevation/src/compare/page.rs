@@ -35,7 +35,7 @@ fn figure(value: Option<f64>) -> String {
 }
 
 fn whole(value: Option<f64>) -> String {
-    value.map_or("–".into(), |v| format!("{:.0}", if v.abs() < 0.5 { 0.0 } else { v }))
+    value.map_or("–".into(), |v| format!("{:.0}", if v.abs() <= 0.5 { 0.0 } else { v }))
 }
 
 fn page(summary: &Summary, map: &serde_json::Value) -> String {

@@ -15,6 +15,7 @@ use std::cell::OnceCell;
 use self::fit::Fit;
 use self::surface::{SHARP_PX, Surface};
 use super::template::{Linear, Model};
+use super::types::MarkKind;
 use super::window::Grey;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::simd::{Kernel, widest};
@@ -72,7 +73,7 @@ const LEVEL_ROUNDS: usize = 3;
 /// A mark drawn for one frame, to be refined from one or several starts.
 pub struct Refiner {
     surface: Surface,
-    /// The same for softer scans, of marks of lines: others have no second edge beside the first, and how soft a small
+    /// The same for softer scans, of crosses: others have no second edge beside the first, and how soft a small dot or
     /// hole is cannot be told from how large it is. `None` for a learned mark, which has the edges that the scans have.
     softer: Option<Softer>,
     unlike: f32,
@@ -81,13 +82,18 @@ pub struct Refiner {
     around_px: Option<f64>,
 }
 
+/// Whether a mark is drawn of lines, each of two edges.
+fn has_lines(model: &Model) -> bool {
+    matches!(model, Model::Drawn(MarkKind::Cross { .. } | MarkKind::RingCross { .. }))
+}
+
 impl Refiner {
     /// `radius_mm`: what lies further from the reference point takes no part. `None` for a degenerate pose.
     pub fn new(model: &Model, linear: Linear, radius_mm: f64) -> Option<Refiner> {
         let px_per_mm = (linear[0] * linear[3] - linear[1] * linear[2]).abs().sqrt();
         Some(Refiner {
             surface: Surface::new(model, linear, radius_mm, SHARP_PX)?,
-            softer: (model.is_drawn() && model.sectors_deg().is_some()).then(|| Softer::of(model, linear, radius_mm)),
+            softer: has_lines(model).then(|| Softer::of(model, linear, radius_mm)),
             unlike: if model.is_drawn() { 0.0 } else { UNLIKE },
             slopes: model.is_drawn() && model.shows_image(),
             around_px: model.sectors_deg().map(|_| AROUND_PX.max(model.detail_mm() * px_per_mm)),
@@ -320,7 +326,6 @@ fn onward(last: [f64; 2], step: [f64; 2]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::types::MarkKind;
 
     /// A cross with grain.
     fn scanned(model: &Model, linear: Linear, centre: PixelPoint) -> Grey {

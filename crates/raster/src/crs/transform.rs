@@ -227,9 +227,10 @@ impl Crs {
         (x[0].abs() <= 360.0 && y[0].abs() <= 90.0).then_some((x[0], y[0]))
     }
 
-    /// Longitudes and latitudes, degrees, on the system's own datum; `None` for a local system, one whose longitudes
-    /// count in something else, and where a place has none.
-    pub fn own_longitudes_latitudes(&self, places: &[(f64, f64)]) -> Option<Vec<(f64, f64)>> {
+    /// Places on the system's own ellipsoid, of the Earth or another body: metres from its middle, along three axes.
+    /// `None` for a local system, one whose longitudes count in something else than degrees, and where one of the
+    /// places has none.
+    pub fn on_own_ellipsoid(&self, places: &[(f64, f64)]) -> Option<Vec<[f64; 3]>> {
         if self.is_local() {
             return None;
         }
@@ -241,8 +242,17 @@ impl Crs {
         base.set_axis_mapping_strategy(AxisMappingStrategy::TraditionalGisOrder);
         let (mut x, mut y): (Vec<f64>, Vec<f64>) = places.iter().copied().unzip();
         CoordTransform::new(&own, &base).ok()?.transform_coords(&mut x, &mut y, &mut []).ok()?;
-        let degrees: Vec<(f64, f64)> = x.into_iter().zip(y).collect();
-        degrees.iter().all(|(x, y)| x.is_finite() && y.abs() <= 90.0).then_some(degrees)
+        if !x.iter().all(|x| x.is_finite()) || !y.iter().all(|y| y.abs() <= 90.0) {
+            return None;
+        }
+        let (major_m, minor_m) = (base.semi_major().ok()?, base.semi_minor().ok()?);
+        let eccentricity2 = 1.0 - (minor_m / major_m).powi(2);
+        let place = |(longitude, latitude): (f64, f64)| {
+            let ((sin_x, cos_x), (sin_y, cos_y)) = (longitude.to_radians().sin_cos(), latitude.to_radians().sin_cos());
+            let across_m = major_m / (1.0 - eccentricity2 * sin_y * sin_y).sqrt();
+            [across_m * cos_y * cos_x, across_m * cos_y * sin_x, across_m * (1.0 - eccentricity2) * sin_y]
+        };
+        Some(x.into_iter().zip(y).map(place).collect())
     }
 
     fn failed(&self, to: &Crs, why: &str, remedy: &str) -> Error {
