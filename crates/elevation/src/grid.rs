@@ -203,13 +203,13 @@ mod tests {
     /// Wherever the pole lies in the grid: a row goes through it.
     #[test]
     fn polar_maps_are_stretched_alike_in_all_rows() {
-        for (code, centre, at_pole) in [(3413, 0.0, 1.0 / 0.9698), (3031, 0.0, 1.0 / 0.9727)] {
+        for (code, at_pole) in [(3413, 1.0 / 0.9698), (3031, 1.0 / 0.9727)] {
             let crs = Crs::from_epsg(code).expect("PROJ knows it");
             for beside in [0.0, 50_000.0] {
-                let corner = (centre - 1e6 + beside, centre + 1e6 + beside);
-                let unit = GroundUnit::Stretched(Stretch::of(&grid_of(corner.0, corner.1, 2000.0), &crs).expect("far"));
+                let grid = grid_of(-1e6 + beside, 1e6 + beside, 2000.0);
+                let unit = GroundUnit::Stretched(Stretch::of(&grid, &crs).expect("stretched"));
                 for y in [0.0, 190_000.0, -400_000.0, 900_000.0] {
-                    let (across, along) = unit.metres_per_unit(centre + y);
+                    let (across, along) = unit.metres_per_unit(y);
                     assert!((across / at_pole - 1.0).abs() < 0.01, "{code}, {y}: {across} for {at_pole}");
                     assert!((along / across - 1.0).abs() < 1e-3, "{code}, {y}: {across} and {along}");
                 }

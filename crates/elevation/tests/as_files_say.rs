@@ -196,41 +196,6 @@ fn cells_count_in_every_zone_that_they_lie_in() {
 }
 
 #[test]
-fn areas_of_geographic_cells_are_their_own() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let make = |name: &str, height: f32| {
-        let path = folder.path().join(name);
-        let set = create::<f32>(&path, (60, 60), 1, "EPSG:4326", [10.0, 0.05, 0.0, 80.0, 0.0, -0.05]);
-        // Not flat, so that there is a variogram.
-        put(&set, 1, (0..3600).map(|i| height + ((i * 7919) % 13) as f32 * 1e-3 * height).collect());
-        path
-    };
-    let (a, b) = (make("a.tif", 10.0), make("b.tif", 0.0));
-    let zones = folder.path().join("north.geojson");
-    let ring = "[[10,79.5],[13,79.5],[13,80],[10,80],[10,79.5]]";
-    std::fs::write(
-        &zones,
-        format!(
-            "{{\"type\":\"Feature\",\"properties\":{{\"name\":\"n\"}},\"geometry\":{{\"type\":\"Polygon\",\"coordinates\":[{ring}]}}}}"
-        ),
-    )
-    .expect("written");
-    let found = compare(&a, &b, Some(&zones), &folder.path().join("c"));
-    // The zone of the ellipsoid between two parallels (J. P. Snyder, Map projections, 1987, equation 3-12).
-    let (major, flattening): (f64, f64) = (6_378_137.0, 1.0 / 298.257_223_563);
-    let e = (flattening * (2.0 - flattening)).sqrt();
-    let q = |degrees: f64| {
-        let s = degrees.to_radians().sin();
-        (1.0 - e * e) * (s / (1.0 - e * e * s * s) - ((1.0 - e * s) / (1.0 + e * s)).ln() / (2.0 * e))
-    };
-    let area: f64 = major * major * 3f64.to_radians() * (q(80.0) - q(79.5)) / 2.0;
-    let volume = &found.volumes[0];
-    assert!((volume.area_m2 / area - 1.0).abs() < 1e-5, "{} of {area}", volume.area_m2);
-    let mean = volume.volume_m3.expect("cells") / volume.area_m2;
-    assert!((mean - volume.mean_m.expect("cells")).abs() < 1e-9 && (10.0..10.13).contains(&mean), "{mean}");
-}
-
-#[test]
 fn aspects_do_not_depend_on_how_rows_run() {
     let folder = tempfile::tempdir().expect("a folder");
     let north_up = model(&folder.path().join("n.tif"), "EPSG:32633", hills(0.0, 0.0), -10.0);

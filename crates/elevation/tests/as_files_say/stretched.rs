@@ -1,4 +1,5 @@
-//! Maps whose metres are not those of the ground, as Mercator's far from the equator.
+//! Cells that are as large as on the ground: of degrees, and of maps whose metres are not those of the ground, as
+//! Mercator's far from the equator.
 
 use autoref_elevation::source::Heights;
 
@@ -10,11 +11,52 @@ const CELL_M: f64 = 500.0;
 const LEFT: f64 = 1_100_000.0;
 /// About 80° north.
 const TOP: f64 = 15_600_000.0;
+
 const MAJOR_M: f64 = 6_378_137.0;
 
+/// Of the ellipsoid of WGS 84, squared.
 fn eccentricity2() -> f64 {
     let flattening: f64 = 1.0 / 298.257_223_563;
     flattening * (2.0 - flattening)
+}
+
+/// Writes a zone between two meridians and two parallels, degrees; its area on the ellipsoid, square metres (J. P.
+/// Snyder, Map projections, 1987, equation 3-12).
+fn write_zone(path: &Path, [west, east]: [f64; 2], [south, north]: [f64; 2]) -> f64 {
+    let ring = format!("[[{west},{south}],[{east},{south}],[{east},{north}],[{west},{north}],[{west},{south}]]");
+    std::fs::write(
+        path,
+        format!(
+            "{{\"type\":\"Feature\",\"properties\":{{\"name\":\"n\"}},\"geometry\":{{\"type\":\"Polygon\",\"coordinates\":[{ring}]}}}}"
+        ),
+    )
+    .expect("written");
+    let e = eccentricity2().sqrt();
+    let q = |degrees: f64| {
+        let s = degrees.to_radians().sin();
+        (1.0 - e * e) * (s / (1.0 - e * e * s * s) - ((1.0 - e * s) / (1.0 + e * s)).ln() / (2.0 * e))
+    };
+    MAJOR_M * MAJOR_M * (east - west).to_radians() * (q(north) - q(south)) / 2.0
+}
+
+#[test]
+fn areas_of_geographic_cells_are_their_own() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let make = |name: &str, height: f32| {
+        let path = folder.path().join(name);
+        let set = create::<f32>(&path, (60, 60), 1, "EPSG:4326", [10.0, 0.05, 0.0, 80.0, 0.0, -0.05]);
+        // Not flat, so that there is a variogram.
+        put(&set, 1, (0..3600).map(|i| height + ((i * 7919) % 13) as f32 * 1e-3 * height).collect());
+        path
+    };
+    let (a, b) = (make("a.tif", 10.0), make("b.tif", 0.0));
+    let zones = folder.path().join("north.geojson");
+    let area = write_zone(&zones, [10.0, 13.0], [79.5, 80.0]);
+    let found = compare(&a, &b, Some(&zones), &folder.path().join("c"));
+    let volume = &found.volumes[0];
+    assert!((volume.area_m2 / area - 1.0).abs() < 1e-5, "{} of {area}", volume.area_m2);
+    let mean = volume.volume_m3.expect("cells") / volume.area_m2;
+    assert!((mean - volume.mean_m.expect("cells")).abs() < 1e-9 && (10.0..10.13).contains(&mean), "{mean}");
 }
 
 /// Metres of the ground in a metre of the map, along x and along y (J. P. Snyder, Map projections, 1987, equations
@@ -38,21 +80,8 @@ fn areas_and_volumes_are_those_of_the_ground() {
     let a = mercator(&folder.path().join("a.tif"), |x, y| 10.0 + rough(x, y));
     let b = mercator(&folder.path().join("b.tif"), |_, _| 0.0);
     let zones = folder.path().join("zone.geojson");
-    let ring = "[[10,80.02],[10.4,80.02],[10.4,80.07],[10,80.07],[10,80.02]]";
-    std::fs::write(
-        &zones,
-        format!(
-            "{{\"type\":\"Feature\",\"properties\":{{\"name\":\"n\"}},\"geometry\":{{\"type\":\"Polygon\",\"coordinates\":[{ring}]}}}}"
-        ),
-    )
-    .expect("written");
+    let area = write_zone(&zones, [10.0, 10.4], [80.02, 80.07]);
     let found = compare(&a, &b, Some(&zones), &folder.path().join("c"));
-    let e = eccentricity2().sqrt();
-    let q = |degrees: f64| {
-        let s = degrees.to_radians().sin();
-        (1.0 - e * e) * (s / (1.0 - e * e * s * s) - ((1.0 - e * s) / (1.0 + e * s)).ln() / (2.0 * e))
-    };
-    let area = MAJOR_M * MAJOR_M * 0.4f64.to_radians() * (q(80.07) - q(80.02)) / 2.0;
     let volume = &found.volumes[0];
     assert!((volume.zone_area_m2 / area - 1.0).abs() < 1e-3, "{} of {area}", volume.zone_area_m2);
     // Whole cells.
