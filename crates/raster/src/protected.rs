@@ -23,6 +23,13 @@ struct Input {
     followed: bool,
 }
 
+impl Input {
+    /// The inode of a file that was removed goes to the next one that is made.
+    fn is_in_place(&self) -> bool {
+        std::fs::metadata(&self.path).is_ok_and(|found| (found.dev(), found.ino()) == (self.device, self.inode))
+    }
+}
+
 static INPUTS: Mutex<Vec<Input>> = Mutex::new(Vec::new());
 
 /// From now on no output replaces the regular file at `path`. What is no regular file, or not there, needs no
@@ -74,7 +81,8 @@ pub fn refuse_input(output: &Path) -> Result<()> {
         follow();
     }
     let inputs = INPUTS.lock().unwrap_or_else(PoisonError::into_inner);
-    match inputs.iter().find(|input| (input.device, input.inode) == (found.dev(), found.ino())) {
+    let is_output = |input: &&Input| (input.device, input.inode) == (found.dev(), found.ino()) && input.is_in_place();
+    match inputs.iter().find(is_output) {
         None => Ok(()),
         Some(Input { whole: None, path, .. }) => Err(is_input(output, path)),
         Some(Input { whole: Some(whole), .. }) => {
@@ -127,6 +135,19 @@ mod tests {
         protect(&input);
         assert!(refuse_inputs_below(&folder.path().join("out")).is_err());
         assert!(refuse_inputs_below(&folder.path().join("out/none")).is_ok());
+    }
+
+    #[test]
+    fn an_input_that_is_gone_lends_its_inode_to_no_refusal() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (input, link) = (folder.path().join("gone.csv"), folder.path().join("out.csv"));
+        std::fs::write(&input, "a").expect("writable");
+        // A second name keeps the inode, as a new file that was given it would.
+        std::fs::hard_link(&input, &link).expect("links");
+        protect(&input);
+        assert!(refuse_input(&link).is_err());
+        std::fs::remove_file(&input).expect("there");
+        assert!(refuse_input(&link).is_ok());
     }
 
     #[test]
