@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::gcp::columns::{Columns, columns};
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
-use crate::gcp::text::{Line, Row, SEPARATORS, Separator, refuse_more_cells, refuse_open_quote, split};
+use crate::gcp::text::{Line, Row, SEPARATORS, Separator, number, refuse_more_cells, refuse_open_quote, split};
 use crate::gcp::{remarks, statistics};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
@@ -25,10 +25,18 @@ fn header(lines: &[Line<'_>]) -> Option<(usize, Separator, Columns)> {
     lines.iter().take(12).enumerate().find_map(|(at, line)| {
         let titles = line.text.trim_start_matches(['#', '!', '/']).trim();
         SEPARATORS.iter().find_map(|&separator| {
-            let columns = columns(split(titles, separator))?;
-            Some((at, separator, columns))
+            let titles = split(titles, separator);
+            // "n é 500000.25 4649000.5" is a point's name before its place.
+            let coordinates = titles.iter().filter(|title| is_place(title)).count();
+            Some((at, separator, columns(titles).filter(|_| coordinates < 2)?))
         })
     })
+}
+
+/// Whether a cell is a coordinate rather than a title of digits, as a year is.
+fn is_place(cell: &str) -> bool {
+    const LONGEST_YEAR: f64 = 9999.0;
+    number(cell).is_some_and(|value| value.abs() > LONGEST_YEAR || value.fract() != 0.0)
 }
 
 fn with_header(path: &Path, lines: &[Line<'_>], at: usize, separator: Separator, columns: Columns) -> Result<RawList> {
@@ -128,4 +136,17 @@ fn coordinate_system_comment(path: &Path, lines: &[Line<'_>]) -> Result<CrsClaim
         }
     }
     Ok(CrsClaim::None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_whose_name_reads_as_titles_is_no_header() {
+        let is_header = |text| is_header(Line { row: 1, text });
+        assert!(!is_header("n é\t500000.25\t4649000.5\t100.5"));
+        assert!(!is_header("N E 500000 4649000"));
+        assert!(is_header("name\tn\té\t2019\t2020"));
+    }
 }
