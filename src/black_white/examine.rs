@@ -1,12 +1,13 @@
 //! The examination of a place that answered: lines, extent, score.
 
-use super::extent::{NO_FLANKS, Rays, SMALLEST_SADDLE, Seen, extent, quarters, sample_at};
+use super::extent::{Lights, NO_FLANKS, Rays, SMALLEST_SADDLE, Seen, extent, quarters, sample_at};
 use super::fifth_arm;
 use super::fit::{Fit, Start, fit};
 use super::grey::{Plane, mean_of_cell};
 use super::kernels::Sample;
 use super::response::{RINGS, Steps, direction};
-use super::{Motif, Quarters, Scale, TargetDetector};
+use super::shade::{self, Fall, Shade};
+use super::{Motif, Quarters, Scale, TargetDetector, two_lights};
 use crate::candidate::Candidate;
 use crate::detector::Detector;
 use crate::segment::label::Region;
@@ -129,7 +130,8 @@ fn best(detector: &TargetDetector, region: &Region, pixels: &dyn Pixels) -> Opti
         if tried >= in_vain && found.is_empty() {
             break;
         }
-        found.extend(measure(detector, &around, answer, region).map(|seen| (seen, score(&seen.fit))));
+        found
+            .extend(measure(detector, &around, answer, region).map(|seen| (seen, score(seen.fit.misfit, seen.lights))));
     }
     let best = found.into_iter().max_by(|a, b| a.1.total_cmp(&b.1));
     best.filter(|(seen, _)| !detector.one_open() || fifth_arm::holds(seen))
@@ -244,6 +246,45 @@ fn measure(detector: &TargetDetector, around: &Around<'_>, answer: &Answer, regi
         fifth_arm::without_open_quarter(&mut view.samples, &view.start);
     }
     let rough = view.fit(detector, hopeful)?;
+    let one = whole(detector, around, &rough, answer, region);
+    let Some(border) = (!detector.one_open()).then(|| border_across(detector, &view, &rough)).flatten() else {
+        return one;
+    };
+    // Of two lights more is asked than of one: what they explain no better is even.
+    let two = in_two_lights(detector, around, &view, &border, answer, region);
+    let two = two.filter(|two| one.is_none_or(|one| two.fit.misfit < TWO_BETTER * one.fit.misfit));
+    two.or(one.map(|one| unsure_of_light(&one)))
+}
+
+/// The border of a shadow across the view of a fit in one light, cells.
+fn border_across(detector: &TargetDetector, view: &View, fit: &Fit) -> Option<Shade> {
+    let fit = view.in_cells(fit);
+    shade::across(&view.samples, &fit.shares(detector.motif, &view.samples), fit.blur)
+}
+
+/// A fit in one light where two seem to fall and cannot be told apart: of drawn ones the centre was off by up to a
+/// fiftieth of the side.
+fn unsure_of_light(seen: &Seen) -> Seen {
+    let own = (0.02 * seen.side_px).powi(2);
+    let [xx, xy, yy] = seen.fit.covariance;
+    Seen { fit: Fit { covariance: [xx + own, xy, yy + own], ..seen.fit }, ..*seen }
+}
+
+/// Two lights leave over at most this share of what one leaves.
+const TWO_BETTER: f64 = 0.6;
+
+/// Share of the variance that a rough fit in evened light leaves over at most.
+const TWO_MOST_LEFT: f64 = 0.15;
+
+/// The target about a rough fit, in even light: its polished fit and extent.
+fn whole(
+    detector: &TargetDetector,
+    around: &Around<'_>,
+    rough: &Fit,
+    answer: &Answer,
+    region: &Region,
+) -> Option<Seen> {
+    let (motif, radius) = (detector.motif, answer.scale.radius_px());
     // The middle must be where the answer was, or the fit has run to something else; an open cross may answer beside.
     let reach = if detector.one_open() { radius } else { radius / 2.0 };
     let near = region.bounds.grown(reach.ceil() as u64, &around.pixels.window());
@@ -251,51 +292,139 @@ fn measure(detector: &TargetDetector, around: &Around<'_>, answer: &Answer, regi
         && rough.y >= near.y as f64
         && rough.x <= near.right() as f64
         && rough.y <= near.bottom() as f64;
-    if !inside || !plausible(detector, &rough) || rough.misfit > 0.5 {
+    if !inside || !plausible(detector, rough) || rough.misfit > 0.5 {
         return None;
     }
-    if motif == Motif::Saddle && ends_near(detector, &around.near, &rough) {
+    if motif == Motif::Saddle && ends_near(detector, &around.near, rough) {
         return None;
     }
     // Whose quarters end within what is farther off is seen there whole; of the few that pass all the pixels tell more.
     let farthest = FARTHER_PX as f64 / 1.5;
     let (patch, known) = match motif {
-        Motif::Saddle => extent(detector, around.farther(), &rough)
+        Motif::Saddle => extent(detector, around.farther(), rough)
             .filter(|(side, _)| *side < farthest)
             .map_or((around.all(), None), |known| (around.farther(), Some(known))),
         Motif::Cross => (around.all(), None),
     };
-    let (side_px, _) = known.or_else(|| extent(detector, around.all(), &rough))?;
-    let fit = polished(detector, patch, &rough, side_px)?;
-    let (side_px, evenness) = extent(detector, around.all(), &rough)?;
-    Some(Seen { fit, side_px, evenness })
+    let (side_px, _) = known.or_else(|| extent(detector, around.all(), rough))?;
+    let fit = polished(detector, patch, rough, side_px)?;
+    let (side_px, evenness) = extent(detector, around.all(), rough)?;
+    Some(Seen { fit, side_px, evenness, lights: Lights::One })
+}
+
+/// The target where the border of a shadow crosses it: measured in light that was evened, and fitted whole.
+fn in_two_lights(
+    detector: &TargetDetector,
+    around: &Around<'_>,
+    view: &View,
+    border: &Shade,
+    answer: &Answer,
+    region: &Region,
+) -> Option<Seen> {
+    let motif = detector.motif;
+    let in_light = |shade: &Shade| {
+        let even = View { samples: shade.evened(&view.samples), ..*view };
+        even.fit(detector, |_| true).filter(|fit| fit.misfit <= TWO_MOST_LEFT && plausible(detector, fit))
+    };
+    // The fit in one light was off, and with it the border.
+    let shade = border_across(detector, view, &in_light(border)?)?;
+    let rough = in_light(&shade)?;
+    let shade = shade.in_unit(view.scale, view.origin);
+    // Most of what is no target ends within the view of its rough fit, where light and shade are evened in no time.
+    if motif == Motif::Saddle && ends_near(detector, &shade.evened_patch(&around.near), &rough) {
+        return None;
+    }
+    let even = shade.evened_patch(around.all());
+    let seen = whole(detector, &Around::new(detector, region, &even), &rough, answer, region)?;
+    let start =
+        View::of(around.all(), seen.fit.as_start(), polish_px(detector, &seen.fit, seen.side_px), POLISH_CELLS)?;
+    let origin = (-start.origin.0 / start.scale, -start.origin.1 / start.scale);
+    let border = shade.in_unit(1.0 / start.scale, origin);
+    let (fit, _) = two_lights::fit(motif, &start.samples, &start.in_cells(&seen.fit), &border, detector.skew)?;
+    let mut fit = start.in_pixels(&fit);
+    fit.covariance[0] += FLOOR_PX * FLOOR_PX;
+    fit.covariance[2] += FLOOR_PX * FLOOR_PX;
+    plausible(detector, &fit).then_some(Seen { fit, lights: Lights::Two, ..seen })
 }
 
 /// The fit to as much of the target as is surely its own: arms to two widths (letters may stand beside them farther
 /// out), quarters to 0.7 of the way.
 fn polished(detector: &TargetDetector, patch: &Patch, rough: &Fit, side_px: f64) -> Option<Fit> {
-    let again = Start {
-        x: rough.x,
-        y: rough.y,
-        angles: rough.angles,
-        width: (rough.widths[0] * rough.widths[1]).sqrt(),
-        blur: rough.blur,
-        height: rough.height,
-    };
-    let view = match detector.motif {
-        Motif::Cross => (2.0 * again.width).min(0.45 * side_px),
-        Motif::Saddle => (0.35 * side_px).min(48.0),
-    };
-    let mut view = View::of(patch, again, view.max(3.0), POLISH_CELLS)?;
+    let again = rough.as_start();
+    let mut view = View::of(patch, again, polish_px(detector, rough, side_px), POLISH_CELLS)?;
     let mut floor = FLOOR_PX * FLOOR_PX;
     if detector.one_open() {
         fifth_arm::without_strip(&mut view.samples, &view.start, rough.ground + 0.5 * rough.height);
         floor += (fifth_arm::TAPER * again.width).powi(2);
     }
     let mut fit = view.fit(detector, |_| true)?;
+    // Where it lies to the last tenth of a pixel is asked of what will be a candidate.
+    if !detector.one_open() && score(fit.misfit, Lights::One) >= detector.min_score {
+        let (even, fall) = in_falling_light(detector, &view, fit);
+        fit = at_its_middle(detector, patch, even, fall.as_ref(), polish_px(detector, rough, side_px));
+    }
     fit.covariance[0] += floor;
     fit.covariance[2] += floor;
     plausible(detector, &fit).then_some(fit)
+}
+
+/// The fit to the middle alone where that to more of the target lies elsewhere: of cloth that is wrinkled, of lines that
+/// are bent and where something lies on a target the middle tells most. The largest view with which all smaller ones
+/// agree (after O. V. Lepski, "On a problem of adaptive estimation in Gaussian white noise", 1991); how far the next
+/// larger is off is what is not known.
+fn at_its_middle(detector: &TargetDetector, patch: &Patch, fit: Fit, fall: Option<&Fall>, view_px: f64) -> Fit {
+    /// Chi-square of two degrees of freedom; deviations of fits to few cells are themselves uncertain.
+    const APART: f64 = 16.0;
+    let least = (3.0 * fit.blur).max(LEAST_MIDDLE_PX);
+    let inner = |halvings: i32| {
+        let radius = view_px * 0.5f64.powi(halvings);
+        let mut view = (radius >= least).then(|| View::of(patch, fit.as_start(), radius, POLISH_CELLS)).flatten()?;
+        if let Some(fall) = fall {
+            let origin = (-view.origin.0 / view.scale, -view.origin.1 / view.scale);
+            view.samples = fall.in_unit(1.0 / view.scale, origin).evened(&view.samples);
+        }
+        view.fit(detector, |_| true)
+    };
+    let smaller: Vec<Fit> = [2, 1].into_iter().filter_map(inner).collect();
+    let views: Vec<Fit> = smaller.into_iter().chain([fit]).collect();
+    let agree = |a: &Fit, b: &Fit| {
+        let (dx, dy) = (a.x - b.x, a.y - b.y);
+        let [xx, xy, yy] = std::array::from_fn(|i| a.covariance[i] + b.covariance[i]);
+        (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy) < APART
+    };
+    let disagrees = |k: &usize| views[..*k].iter().any(|smaller| !agree(smaller, &views[*k]));
+    let Some(first) = (1..views.len()).find(disagrees) else { return fit };
+    let (taken, next) = (&views[first - 1], &views[first]);
+    let apart = (taken.x - next.x).powi(2) + (taken.y - next.y).powi(2);
+    let [xx, xy, yy] = taken.covariance;
+    Fit { x: taken.x, y: taken.y, covariance: [xx + apart, xy, yy + apart], ..fit }
+}
+
+/// The middle of a target that is looked at by itself reaches this far.
+const LEAST_MIDDLE_PX: f64 = 4.5;
+
+/// How far from the middle the last fit sees.
+fn polish_px(detector: &TargetDetector, rough: &Fit, side_px: f64) -> f64 {
+    let view = match detector.motif {
+        Motif::Cross => (2.0 * rough.as_start().width).min(0.45 * side_px),
+        Motif::Saddle => (0.35 * side_px).min(48.0),
+    };
+    view.max(3.0)
+}
+
+/// The fit where the light falls off across the target, with the fall in pixels; the same where it does not.
+fn in_falling_light(detector: &TargetDetector, view: &View, fit: Fit) -> (Fit, Option<Fall>) {
+    let mut best = (fit, None);
+    for _ in 0..2 {
+        let cells = view.in_cells(&best.0);
+        let shares = cells.shares(detector.motif, &view.samples);
+        let Some(fall) = shade::fall(&view.samples, &shares, (cells.x, cells.y)) else { break };
+        let even = View { samples: fall.evened(&view.samples), ..*view };
+        let Some(found) = even.fit(detector, |_| true) else { break };
+        // What falling light explains is no evidence of a target: roofs and leaves are explained by it, too.
+        best = (Fit { misfit: fit.misfit, ..found }, Some(fall.in_unit(view.scale, view.origin)));
+    }
+    best
 }
 
 /// Two lines that cross at an angle that such targets have, with enough contrast.
@@ -416,6 +545,18 @@ impl View {
         }
     }
 
+    fn in_cells(&self, fit: &Fit) -> Fit {
+        let scale = self.scale;
+        Fit {
+            x: (fit.x - self.origin.0) / scale,
+            y: (fit.y - self.origin.1) / scale,
+            widths: fit.widths.map(|w| w / scale),
+            blur: fit.blur / scale,
+            covariance: fit.covariance.map(|v| v / (scale * scale)),
+            ..*fit
+        }
+    }
+
     /// Fits in image pixels; gives up what is not `hopeful` on the way.
     fn fit(&self, detector: &TargetDetector, hopeful: impl Fn(&Fit) -> bool) -> Option<Fit> {
         let hopeful = |sketch: &Fit| hopeful(&self.in_pixels(sketch));
@@ -447,12 +588,18 @@ fn samples(patch: &Patch, at: (f64, f64), view: f64, size: u64) -> Vec<Sample> {
 /// Clutter: 2,866 places that answered on 54 megapixels of photographs (`tools/target_scores.rs`). Targets: 911 planted
 /// ones have −6.8 ± 0.6, the cloth of six real plates −4.3 to −4.9; the population covers both. A fit better than the
 /// mean does not count further.
-fn score(fit: &Fit) -> f64 {
+fn score(misfit: f64, lights: Lights) -> f64 {
     const TARGET: (f64, f64) = (-6.0, 1.2);
     const CLUTTER: (f64, f64) = (-1.4, 0.75);
-    let at = fit.misfit.max(1e-6).ln().max(TARGET.0);
+    // What is free in two lights fits more of what is no target, and few targets lie so.
+    const TWO_LIGHTS: f64 = 6.0;
+    let at = misfit.max(1e-6).ln().max(TARGET.0);
     let log_density = |(mean, sd): (f64, f64)| -0.5 * ((at - mean) / sd).powi(2) - sd.ln();
-    log_density(TARGET) - log_density(CLUTTER)
+    let price = match lights {
+        Lights::One => 0.0,
+        Lights::Two => TWO_LIGHTS,
+    };
+    log_density(TARGET) - log_density(CLUTTER) - price
 }
 
 #[cfg(test)]

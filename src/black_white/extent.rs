@@ -12,6 +12,15 @@ pub struct Seen {
     pub side_px: f64,
     /// Shortest over longest arm (or quarter).
     pub evenness: f64,
+    pub lights: Lights,
+}
+
+/// How many lights fall on a target.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lights {
+    One,
+    /// The border of a shadow crosses it.
+    Two,
 }
 
 /// Arms and quarters are followed this far from the middle, in sides of the largest target.

@@ -39,6 +39,38 @@ pub struct Start {
     pub height: f64,
 }
 
+impl Fit {
+    /// Where the next fit begins.
+    pub(super) fn as_start(&self) -> Start {
+        Start {
+            x: self.x,
+            y: self.y,
+            angles: self.angles,
+            width: (self.widths[0] * self.widths[1]).sqrt(),
+            blur: self.blur,
+            height: self.height,
+        }
+    }
+
+    /// The motif's share of bright at each sample.
+    pub(super) fn shares(&self, motif: Motif, samples: &[Sample]) -> Vec<f64> {
+        let pose = Pose {
+            motif,
+            centre: (self.x, self.y),
+            turned: self.angles.map(f64::sin_cos),
+            widths: self.widths,
+            sigma: self.blur,
+            ground: self.ground,
+            height: self.height,
+            slope: [0.0; 2],
+            origin: (self.x, self.y),
+        };
+        let (mut values, mut left) = (Vec::new(), Vec::new());
+        kernels::values(&pose, &Cells::new(samples), &mut values, &mut left);
+        values
+    }
+}
+
 /// What came of it, in cells.
 #[derive(Clone, Copy, Debug)]
 pub struct Fit {

@@ -12,6 +12,8 @@ pub(crate) mod fit;
 pub(crate) mod grey;
 pub(crate) mod kernels;
 mod response;
+mod shade;
+mod two_lights;
 
 use crate::candidate::Candidate;
 use crate::detector::Detector;
