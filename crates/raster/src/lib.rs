@@ -43,6 +43,7 @@ pub mod mask;
 pub mod masked;
 pub mod memory;
 pub mod memory_plan;
+pub mod normal;
 mod open;
 pub mod output_folder;
 mod parts;

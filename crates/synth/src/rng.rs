@@ -2,6 +2,7 @@
 //! count and every cut into windows.
 
 use autoref_raster::bilinear::by_differences;
+use autoref_raster::normal;
 use autoref_raster::random::SplitMix64;
 pub use autoref_raster::random::mix;
 
@@ -84,7 +85,7 @@ impl NoiseTable {
             let (mut low, mut high) = (-6.0, 6.0);
             for _ in 0..50 {
                 let mid = 0.5 * (low + high);
-                if super::blur::normal_cdf(mid) < p { low = mid } else { high = mid }
+                if normal::below(mid) < p { low = mid } else { high = mid }
             }
             values.push((0.5 * (low + high) * sigma * 256.0).round() as i32);
         }

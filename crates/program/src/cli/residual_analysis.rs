@@ -6,6 +6,7 @@
 //! favoured direction, with the p-value of J. H. Zar, "Biostatistical analysis", 1999, eq. 27.4. Intervals of
 //! correlations by R. A. Fisher's z, 95 %.
 
+use autoref_raster::normal;
 use serde::Serialize;
 
 /// A residual and where its point lies, metres.
@@ -172,16 +173,6 @@ fn histogram(sorted: &[f64]) -> Option<Histogram> {
     Some(Histogram { from_m: low, to_m: high, counts })
 }
 
-/// Standard normal distribution function; W. J. Cody's rational forms are not needed for a p-value of three digits.
-fn normal_below(z: f64) -> f64 {
-    // Abramowitz and Stegun, "Handbook of mathematical functions", 1964, 26.2.17: good to 7.5e-8.
-    let t = 1.0 / (1.0 + 0.231_641_9 * z.abs());
-    let poly =
-        t * (0.319_381_530 + t * (-0.356_563_782 + t * (1.781_477_937 + t * (-1.821_255_978 + t * 1.330_274_429))));
-    let tail = (-z * z / 2.0).exp() / (2.0 * std::f64::consts::PI).sqrt() * poly;
-    if z > 0.0 { 1.0 - tail } else { tail }
-}
-
 fn normality(sorted: &[f64]) -> Option<Normality> {
     let n = sorted.len();
     let mean = sorted.iter().sum::<f64>() / n.max(1) as f64;
@@ -189,7 +180,7 @@ fn normality(sorted: &[f64]) -> Option<Normality> {
     if n < FEWEST || variance <= 0.0 {
         return None;
     }
-    let below = |i: usize| normal_below((sorted[i] - mean) / variance.sqrt()).clamp(1e-15, 1.0 - 1e-15);
+    let below = |i: usize| normal::below((sorted[i] - mean) / variance.sqrt()).clamp(1e-15, 1.0 - 1e-15);
     let count = n as f64;
     let sum: f64 = (0..n).map(|i| (2.0 * i as f64 + 1.0) * (below(i).ln() + (1.0 - below(n - 1 - i)).ln())).sum();
     let a2 = (-count - sum / count) * (1.0 + 0.75 / count + 2.25 / (count * count));
@@ -243,7 +234,7 @@ fn correlation(pairs: &[[f64; 2]]) -> Option<Correlation> {
         return None;
     }
     let r = (sum(&|p| (p[0] - a) * (p[1] - b)) / spread).clamp(-1.0, 1.0);
-    let (z, half) = (r.clamp(-1.0 + 1e-12, 1.0 - 1e-12).atanh(), 1.959_964 / (count - 3.0).sqrt());
+    let (z, half) = (r.clamp(-1.0 + 1e-12, 1.0 - 1e-12).atanh(), normal::WITHIN_95 / (count - 3.0).sqrt());
     Some(Correlation { r, low_95: (z - half).tanh(), high_95: (z + half).tanh(), n })
 }
 
@@ -268,7 +259,7 @@ mod tests {
         let (mut low, mut high) = (-9.0, 9.0);
         for _ in 0..80 {
             let middle = (low + high) / 2.0;
-            if normal_below(middle) < p { low = middle } else { high = middle }
+            if normal::below(middle) < p { low = middle } else { high = middle }
         }
         low
     }
