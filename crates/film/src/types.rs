@@ -47,6 +47,10 @@ pub struct Camera {
     /// Boxes of text and instruments that `--resample` masks: two opposite corners x, y, x, y in the camera's axes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub masked_mm: Vec<[f64; 4]>,
+    /// Boxes of text that masks of the ground leave out where `masked_mm` names none, likewise. `--resample` does not
+    /// mask them: their sizes are a guess.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub text_boxes_mm: Vec<[f64; 4]>,
 }
 
 /// One fiducial mark of a camera.
