@@ -15,7 +15,7 @@
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::planar::{Kind, PlanarFit};
+use crate::planar::{Kind, PlanarFit, affine_cofactors};
 use crate::{Pair, Similarity, Solution};
 use autoref_raster::coords::{MapPoint, PixelPoint};
 
@@ -77,11 +77,7 @@ impl ErrorModel {
         let centre = PixelPoint { x: mean(|pair| pair.pixel.x), y: mean(|pair| pair.pixel.y) };
         let square = |pair: &Pair| (pair.pixel.x - centre.x).powi(2) + (pair.pixel.y - centre.y).powi(2);
         let unit_px = (pairs.iter().map(square).sum::<f64>() / n).sqrt();
-        let rows = pairs.iter().zip(&fit.weights).map(|(pair, weight)| {
-            let row = row(pair.pixel, centre, unit_px);
-            *weight * row * row.transpose()
-        });
-        let inverse = rows.sum::<Matrix3<f64>>().try_inverse()?;
+        let inverse = affine_cofactors(pairs.iter().map(|pair| row(pair.pixel, centre, unit_px)), &fit.weights)?;
         let squares = fit.residuals_m.iter().zip(&fit.weights).map(|(r, w)| w * (r[0] * r[0] + r[1] * r[1]));
         let sigma_m = (squares.sum::<f64>() / freedom).sqrt();
         Some(ErrorModel {
