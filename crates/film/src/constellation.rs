@@ -178,12 +178,6 @@ pub struct Naming {
     pub leaves_out: bool,
 }
 
-impl Naming {
-    pub fn is_upright(&self) -> bool {
-        self.turn_deg == 0.0 && !self.mirrored.is_mirrored()
-    }
-}
-
 /// Every naming of `places` (found under the naming `now`, film index by film index) that turning the frame by quarters
 /// and mirroring it allows, best first, those that no mark contradicts before the others: in a wrong way round three of
 /// four fit easily. `same` says whether two marks look alike.

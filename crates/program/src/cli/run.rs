@@ -123,7 +123,7 @@ pub fn first_look(args: &LookArgs) -> anyhow::Result<RunResult> {
         Shared { chances: priors.len(), part: 1 },
         &args.matching.limit(),
     )?;
-    let bar = Bar::new(info, Telling::of_flags(args.quiet, args.json));
+    let bar = Bar::new(info, Telling::silent_if(args.quiet || args.json));
     let refiner = detector.relaxed();
     let run = georeference(&Job {
         source: source.as_ref(),
@@ -175,7 +175,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let looks = args.looks(&detector)?;
     let time_limit = args.look.matching.limit();
     let matchers = Matchers::of(&args.look.matching, info, priors.len(), list.gcps.len(), looks, &time_limit)?;
-    let bar = Bar::new(info, Telling::of_flags(args.look.quiet, args.look.json));
+    let bar = Bar::new(info, Telling::silent_if(args.look.quiet || args.look.json));
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();
     let job = Job {
@@ -224,7 +224,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     // Its caches make room for what writing needs.
     drop(source);
     let report = report.as_deref().zip(gathered.as_ref());
-    let telling = Telling::of_flags(args.look.quiet, args.look.json);
+    let telling = Telling::silent_if(args.look.quiet || args.look.json);
     write_outputs(&request, &json, report, &mut document, started, telling, dem)?;
     print(&document.result, Printing { json: args.look.json, quiet: args.look.quiet });
     Ok(document.exit_code())
