@@ -7,6 +7,7 @@ use autoref_raster::window::Window;
 use autoref_raster::{Block, RasterSource};
 use autoref_solve::accuracy::AccuracyStatement;
 use autoref_solve::heights::HeightModel;
+use autoref_solve::residual_analysis::{self, Correlation};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::detector::Detector;
 use autoref_stream::pipeline::Progress;
@@ -18,7 +19,6 @@ use clap::Args;
 use crate::cli::accuracy;
 use crate::cli::lengths::length;
 use crate::cli::progress::Bar;
-use crate::cli::residual_analysis::{self, Correlation};
 
 #[derive(Args, Debug)]
 pub struct ReportArgs {

@@ -11,76 +11,113 @@ use serde::Serialize;
 
 /// A residual and where its point lies, metres.
 pub struct Residual {
+    /// Easting and northing of the point.
     pub position: [f64; 2],
+    /// Height of the point; `None` where it is not known.
     pub height_m: Option<f64>,
+    /// The residual in easting.
     pub e_m: f64,
+    /// The residual in northing.
     pub n_m: f64,
+    /// The residual in height, where there is one.
     pub h_m: Option<f64>,
 }
 
 /// What is said of residuals. What too few points leave open is `None`.
 #[derive(Debug, Serialize)]
 pub struct Analysis {
+    /// How many residuals there are.
     pub points: usize,
+    /// As given to [`analyse`].
     pub tail_cut: f64,
     /// The mean of the points, metres.
     pub centre: [f64; 2],
+    /// Residuals in easting.
     pub easting: Component,
+    /// Residuals in northing.
     pub northing: Component,
+    /// Residuals in height; `None` when no point has one.
     pub height: Option<Component>,
+    /// Which way the residuals point in the plane.
     pub directions: Directions,
+    /// How they hang together with the place.
     pub correlations: Correlations,
 }
 
 /// One component of the residuals.
 #[derive(Debug, Serialize)]
 pub struct Component {
+    /// Without the tails.
     pub histogram: Option<Histogram>,
+    /// Without the tails.
     pub normality: Option<Normality>,
 }
 
+/// Counts in bins of equal width.
 #[derive(Debug, Serialize)]
 pub struct Histogram {
+    /// Lower end of the first bin.
     pub from_m: f64,
+    /// Upper end of the last bin.
     pub to_m: f64,
+    /// In each bin, from below.
     pub counts: [usize; BINS],
 }
 
+/// Whether values may come from a normal distribution.
 #[derive(Debug, Serialize)]
 #[serde(tag = "test", rename = "Anderson-Darling")]
 pub struct Normality {
+    /// A² with mean and variance from the sample.
     pub statistic: f64,
+    /// The chance of such a statistic if they do.
     pub p_value: f64,
+    /// Values that were tested.
     pub n: usize,
 }
 
+/// Which way residuals point.
 #[derive(Debug, Serialize)]
 pub struct Directions {
+    /// Counts in equal sectors, anticlockwise from west.
     pub sectors: [usize; SECTORS],
+    /// The direction they favour.
     pub favoured: Option<Favoured>,
 }
 
+/// The mean direction, and whether it is more than chance.
 #[derive(Debug, Serialize)]
 #[serde(tag = "test", rename = "Rayleigh")]
 pub struct Favoured {
     /// Anticlockwise from east.
     pub direction_deg: f64,
+    /// Length of the mean of unit vectors, 0 (all directions alike) to 1.
     pub share: f64,
+    /// The chance of such a share if no direction is favoured.
     pub p_value: f64,
 }
 
+/// How residuals hang together with the distance and direction from the centre.
 #[derive(Debug, Serialize)]
 pub struct Correlations {
+    /// Length of the residual and distance, in the plane.
     pub magnitude_distance_2d: Option<Correlation>,
+    /// The same in space.
     pub magnitude_distance_3d: Option<Correlation>,
+    /// Direction of the residual and direction from the centre, radians.
     pub direction_outward: Option<Correlation>,
 }
 
+/// A correlation with its interval of 95 %.
 #[derive(Debug, Serialize)]
 pub struct Correlation {
+    /// Pearson's coefficient.
     pub r: f64,
+    /// Lower end of the interval.
     pub low_95: f64,
+    /// Upper end of the interval.
     pub high_95: f64,
+    /// Pairs of values.
     pub n: usize,
 }
 
