@@ -16,6 +16,8 @@
 //! ```
 //!
 //! This crate imports `autoref-raster` only, for coordinates and distributions.
+#![warn(missing_docs)]
+
 pub mod absolute;
 pub mod accuracy;
 pub mod adjustment;

@@ -59,6 +59,7 @@ pub enum Weighting {
 /// A fitted transform.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanarFit {
+    /// Which transform.
     pub kind: Kind,
     /// Of the pairs, of mean 1.
     pub weights: Vec<f64>,
@@ -72,6 +73,7 @@ pub struct PlanarFit {
     pub leave_one_out_m: Option<Vec<[f64; 2]>>,
     /// What each point says of itself, of an affine transform; `None` with three points and of a projective one.
     pub reliability: Option<Vec<Reliability>>,
+    /// Why the points may not support it, in plain words.
     pub warnings: Vec<String>,
     transform: Transform,
 }

@@ -129,10 +129,13 @@ fn row(p: PixelPoint, centre: PixelPoint, unit_px: f64) -> Vector3<f64> {
 /// Expected errors over an image, at the nodes of a grid that reaches from corner to corner.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ErrorMap {
+    /// Size of the image, pixels.
     pub width_px: f64,
+    /// Likewise.
     pub height_px: f64,
     /// Nodes from left to right and from top to bottom, the edges included; at least 2 each.
     pub columns: usize,
+    /// Likewise.
     pub rows: usize,
     /// Row-major from the upper left corner.
     pub nodes: Vec<ExpectedError>,
@@ -141,19 +144,26 @@ pub struct ErrorMap {
 /// The expected error in one corner of the image.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CornerError {
+    /// Which corner.
     pub corner: Corner,
     /// Which way it lies from the middle of the image, on the map: "north-west".
     pub direction: String,
+    /// Radii of 95 % there.
     #[serde(flatten)]
     pub expected: ExpectedError,
 }
 
+/// A corner of the image as it is stored, x to the right and y down.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Corner {
+    /// (0, 0).
     UpperLeft,
+    /// (width, 0).
     UpperRight,
+    /// (width, height).
     LowerRight,
+    /// (0, height).
     LowerLeft,
 }
 
