@@ -13,8 +13,10 @@ const SUMS: usize = 8;
 pub const PARAMETERS: usize = 10;
 const SQUARES: usize = PARAMETERS * (PARAMETERS + 1) / 2;
 
+/// One number for each of the pixels that are worked on together.
 pub type Lanes = [f64; LANES];
 
+/// The outline of the shape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     Rectangle,
@@ -46,6 +48,7 @@ pub struct Samples {
 }
 
 impl Samples {
+    /// One more pixel.
     pub fn push(&mut self, sample: Sample) {
         let lane = self.len % LANES;
         if lane == 0 {
@@ -57,6 +60,7 @@ impl Samples {
         self.len += 1;
     }
 
+    /// Number of pixels.
     pub fn count(&self) -> usize {
         self.len
     }

@@ -88,10 +88,12 @@ pub(super) struct Line<'a> {
 }
 
 impl Line<'_> {
+    /// Where it stands, for messages.
     pub fn place(&self) -> String {
         format!("row {}", self.row)
     }
 
+    /// Whether it holds no point by the ways of lists.
     pub fn is_comment(&self) -> bool {
         // Excel is told by the last what stands between the columns.
         let tells_excel = || {

@@ -55,6 +55,7 @@ impl Tally {
         }
     }
 
+    /// Marks that were found.
     pub fn found(&self) -> usize {
         self.errors.len()
     }

@@ -30,6 +30,7 @@ pub struct Assembly {
 }
 
 impl Assembly {
+    /// How many marks have a peak.
     pub fn marks(&self) -> usize {
         self.chosen.iter().flatten().count()
     }

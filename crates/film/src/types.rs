@@ -148,6 +148,7 @@ pub enum FrameStatus {
     },
 }
 
+/// Whether a mark was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MarkStatus {
@@ -176,6 +177,7 @@ pub struct MarkFind {
     pub reason: Option<String>,
 }
 
+/// The transform from scan to film.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InteriorModel {
@@ -258,6 +260,7 @@ pub struct FrameResult {
 }
 
 impl FrameResult {
+    /// Whether the frame has an interior orientation that nothing speaks against.
     pub fn is_ok(&self) -> bool {
         self.status == FrameStatus::Ok
     }

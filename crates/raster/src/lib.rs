@@ -121,6 +121,7 @@ pub enum SampleType {
 }
 
 impl SampleType {
+    /// Bytes of a sample.
     pub fn bytes(self) -> usize {
         match self {
             SampleType::U8 => 1,
@@ -175,9 +176,11 @@ pub struct RasterInfo {
 }
 
 impl RasterInfo {
+    /// The whole raster.
     pub fn bounds(&self) -> Window {
         Window::whole(self.width, self.height)
     }
+    /// Number of pixels.
     pub fn pixels(&self) -> u64 {
         self.width * self.height
     }

@@ -33,6 +33,7 @@ impl Rng {
         Rng(SplitMix64(state))
     }
 
+    /// The next 64 bits.
     pub fn next_u64(&mut self) -> u64 {
         self.0.next_u64()
     }
@@ -42,6 +43,7 @@ impl Rng {
         self.0.unit()
     }
 
+    /// Uniform in [low, high).
     pub fn range(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
@@ -51,6 +53,7 @@ impl Rng {
         ((self.unit() * n as f64) as usize).min(n.saturating_sub(1))
     }
 
+    /// True in a share, 0 to 1, of all calls.
     pub fn chance(&mut self, share: f64) -> bool {
         self.unit() < share
     }
@@ -60,6 +63,7 @@ impl Rng {
         self.0.normal()
     }
 
+    /// Puts the items in an order in which each is as likely as any other.
     pub fn shuffle<T>(&mut self, items: &mut [T]) {
         for i in (1..items.len()).rev() {
             items.swap(i, self.below(i + 1));
@@ -76,6 +80,7 @@ pub struct NoiseTable {
 }
 
 impl NoiseTable {
+    /// Noise with the standard deviation `sigma`, 8-bit levels.
     pub fn new(seed: u64, sigma: f64) -> Self {
         let n = 4096;
         let mut values: Vec<i32> = Vec::with_capacity(n);

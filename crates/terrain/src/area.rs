@@ -15,6 +15,7 @@ pub(crate) struct Run {
 }
 
 impl Run {
+    /// Number of pixels.
     pub fn pixels(&self) -> u64 {
         u64::from(self.end - self.start)
     }
@@ -67,6 +68,7 @@ impl Areas {
         self.root.iter().enumerate().filter(|(i, root)| *i as u32 == **root).count()
     }
 
+    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.runs.is_empty()
     }

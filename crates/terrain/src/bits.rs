@@ -50,10 +50,12 @@ impl BitMask {
         mask
     }
 
+    /// Width, pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
+    /// Height, pixels.
     pub fn height(&self) -> usize {
         self.height
     }
@@ -63,11 +65,13 @@ impl BitMask {
         width.div_ceil(64) * 8 * height
     }
 
+    /// Whether the pixel in column `x` and row `y` is set.
     pub fn get(&self, x: usize, y: usize) -> bool {
         debug_assert!(x < self.width && y < self.height);
         self.words[y * self.row_words + x / 64] >> (x % 64) & 1 == 1
     }
 
+    /// Sets the pixel in column `x` and row `y`, or clears it.
     pub fn set(&mut self, x: usize, y: usize, value: bool) {
         debug_assert!(x < self.width && y < self.height);
         let word = &mut self.words[y * self.row_words + x / 64];
@@ -79,6 +83,7 @@ impl BitMask {
         &self.words[y * self.row_words..(y + 1) * self.row_words]
     }
 
+    /// The same, to be changed; bits beyond the width must stay clear.
     pub fn row_mut(&mut self, y: usize) -> &mut [u64] {
         &mut self.words[y * self.row_words..(y + 1) * self.row_words]
     }
