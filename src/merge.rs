@@ -65,6 +65,7 @@ pub struct RegionMerger {
 }
 
 impl RegionMerger {
+    /// No tile has come yet.
     pub fn new(grid: TileGrid) -> Self {
         RegionMerger { grid, tiles: HashMap::new(), entries: Vec::new(), free: Vec::new(), fed: 0 }
     }

@@ -40,6 +40,7 @@ struct Answer {
     y: f64,
 }
 
+/// The target that a region is; `None` when it is none.
 pub fn examine(detector: &TargetDetector, region: &Region, pixels: &dyn Pixels) -> Option<Candidate> {
     let (seen, score) = look(detector, region, pixels)?;
     if score.is_nan() || score < detector.min_score {

@@ -43,6 +43,7 @@ pub struct Rays<'a> {
 }
 
 impl<'a> Rays<'a> {
+    /// From the middle of a fit, `longest` pixels at the most.
     pub fn new(patch: &'a Patch, fit: &'a Fit, longest: f64) -> Rays<'a> {
         let step = ((fit.widths[0] * fit.widths[1]).sqrt() / 8.0).clamp(0.5, 4.0);
         Rays { patch, fit, mid: fit.ground + 0.5 * fit.height, step, longest, gap: 2.0 * step }

@@ -114,6 +114,7 @@ impl Plane {
         Plane { x, y, width, height, data }
     }
 
+    /// Values of a row, from the left.
     pub fn row(&self, row: usize) -> &[u8] {
         &self.data[row * self.width..(row + 1) * self.width]
     }

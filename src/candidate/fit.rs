@@ -33,6 +33,7 @@ pub struct Priors {
     pub ground_sd: f64,
 }
 
+/// A blurred shape of paint laid onto the pixels of a candidate.
 #[derive(Clone, Debug)]
 pub struct Fit {
     pub form: Form,

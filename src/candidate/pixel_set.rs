@@ -70,20 +70,24 @@ impl PixelSet {
         (y * self.stride + x / BITS, 1 << (x % BITS))
     }
 
+    /// Whether pixel `i` of the window, row-major, is in it.
     pub fn has(&self, i: usize) -> bool {
         let (word, bit) = self.place(i);
         self.words[word] & bit != 0
     }
 
+    /// Takes pixel `i` in.
     pub fn insert(&mut self, i: usize) {
         let (word, bit) = self.place(i);
         self.words[word] |= bit;
     }
 
+    /// Number of pixels.
     pub fn count(&self) -> usize {
         self.words.iter().map(|word| word.count_ones() as usize).sum()
     }
 
+    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.words.iter().all(|&word| word == 0)
     }
@@ -122,14 +126,17 @@ impl PixelSet {
         PixelSet { words, ..*self }
     }
 
+    /// Pixels of both.
     pub fn and(&self, other: &PixelSet) -> PixelSet {
         self.with(other, |a, b| a & b)
     }
 
+    /// Pixels of either.
     pub fn or(&self, other: &PixelSet) -> PixelSet {
         self.with(other, |a, b| a | b)
     }
 
+    /// Pixels that the other has not.
     pub fn minus(&self, other: &PixelSet) -> PixelSet {
         self.with(other, |a, b| a & !b)
     }

@@ -36,6 +36,7 @@ const BLUR: f64 = 2.447;
 const ACROSS_GRID: f64 = 0.402;
 
 impl Place {
+    /// The centre of a fit, and how well it is known.
     pub fn of(fit: &Fit) -> Place {
         Place { x: fit.x, y: fit.y, covariance_px2: covariance(fit) }
     }

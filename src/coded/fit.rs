@@ -42,6 +42,7 @@ impl Pose {
         }
     }
 
+    /// The pixel of a place in modules from the centre.
     pub fn at(&self, u: f64, v: f64) -> [f64; 2] {
         [0, 1].map(|i| self.centre[i] + u * self.along[0][i] + v * self.along[1][i])
     }

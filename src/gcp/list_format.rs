@@ -77,6 +77,7 @@ impl ListFormat {
         ListFormat::JobXml,
     ];
 
+    /// As the command line has it.
     pub fn name(self) -> &'static str {
         match self {
             ListFormat::GeoJson => "geojson",

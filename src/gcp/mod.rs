@@ -101,6 +101,7 @@ impl Gcp {
         }
     }
 
+    /// Where it lies in plan.
     pub fn position(&self) -> MapPoint {
         MapPoint { easting: self.easting, northing: self.northing }
     }

@@ -28,6 +28,7 @@ pub(super) struct Seen {
 }
 
 impl RawPoint {
+    /// A point of which nothing else is listed; `place` is where it stands in the file.
     pub fn bare(gcp: Gcp, place: impl Into<String>) -> Self {
         RawPoint { gcp, place: place.into(), attributes: Vec::new(), pixels: Vec::new() }
     }
@@ -42,6 +43,7 @@ pub(super) enum CrsClaim {
 }
 
 impl CrsClaim {
+    /// What a file claims at `place`.
     pub fn read(path: &Path, place: String, definition: &str) -> Self {
         match Crs::parse(definition) {
             Ok(crs) => CrsClaim::Known(crs),
@@ -85,6 +87,7 @@ pub(super) struct RawList {
 }
 
 impl RawList {
+    /// Points of which nothing is doubtful yet.
     pub fn new(points: Vec<RawPoint>, crs: CrsClaim) -> Self {
         RawList {
             points,

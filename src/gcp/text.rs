@@ -7,21 +7,25 @@ use encoding_rs::{Encoding, WINDOWS_1250, WINDOWS_1252, WINDOWS_1254, WINDOWS_12
 
 use crate::gcp::titles;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::tiff::container::ByteOrder;
 
 /// Text of a file: UTF-8 or UTF-16 with or without a byte order mark, else the encoding of a country, told by its
 /// letters, as old survey software and Excel write; line ends of any system. `None` for files that are no text.
 pub(crate) fn decode(bytes: &[u8]) -> Option<String> {
-    let wide = |pairs: &[u8], big: bool| -> String {
+    let wide = |pairs: &[u8], order: ByteOrder| -> String {
         let units = pairs.chunks_exact(2).map(|pair| {
             let pair = [pair[0], pair[1]];
-            if big { u16::from_be_bytes(pair) } else { u16::from_le_bytes(pair) }
+            match order {
+                ByteOrder::Big => u16::from_be_bytes(pair),
+                ByteOrder::Little => u16::from_le_bytes(pair),
+            }
         });
         char::decode_utf16(units).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect()
     };
     let text = match bytes {
         [0xEF, 0xBB, 0xBF, rest @ ..] => String::from_utf8_lossy(rest).into_owned(),
-        [0xFF, 0xFE, rest @ ..] => wide(rest, false),
-        [0xFE, 0xFF, rest @ ..] => wide(rest, true),
+        [0xFF, 0xFE, rest @ ..] => wide(rest, ByteOrder::Little),
+        [0xFE, 0xFF, rest @ ..] => wide(rest, ByteOrder::Big),
         _ => {
             let start = &bytes[..bytes.len().min(4096)];
             let zeros = |parity: usize| start.iter().skip(parity).step_by(2).filter(|b| **b == 0).count();
@@ -32,8 +36,8 @@ pub(crate) fn decode(bytes: &[u8]) -> Option<String> {
                     Ok(text) => text.to_string(),
                     Err(_) => of_a_country(bytes),
                 },
-                (0, odd) if odd * 10 > half * 8 => wide(bytes, false),
-                (even, 0) if even * 10 > half * 8 => wide(bytes, true),
+                (0, odd) if odd * 10 > half * 8 => wide(bytes, ByteOrder::Little),
+                (even, 0) if even * 10 > half * 8 => wide(bytes, ByteOrder::Big),
                 _ => return None,
             }
         }
@@ -84,10 +88,12 @@ pub(super) struct Line<'a> {
 }
 
 impl Line<'_> {
+    /// Where it stands, for messages.
     pub fn place(&self) -> String {
         format!("row {}", self.row)
     }
 
+    /// Whether it holds no point by the ways of lists.
     pub fn is_comment(&self) -> bool {
         // Excel is told by the last what stands between the columns.
         let tells_excel = || {

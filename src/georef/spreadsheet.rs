@@ -34,6 +34,7 @@ impl Spreadsheet {
         }
     }
 
+    /// A reader of its rows; lines that begin with # are passed over.
     pub fn reader(&self) -> csv::Reader<&[u8]> {
         csv::ReaderBuilder::new()
             .trim(csv::Trim::All)

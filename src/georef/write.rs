@@ -106,6 +106,7 @@ impl WriteRequest {
         Ok(self.kinds.iter().flat_map(|&kind| self.files_of(kind, &parts)).collect())
     }
 
+    /// Whether this output was asked for.
     pub fn wants(&self, kind: Output) -> bool {
         self.kinds.contains(&kind)
     }

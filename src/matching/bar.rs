@@ -31,6 +31,7 @@ impl<'a> Bar<'a> {
             && self.above.is_none_or(|bar| bar.lets_by(most))
     }
 
+    /// A score was reached: what must be reached may rise.
     pub fn raise(&self, score: f64) {
         if score <= f64::from_bits(self.least.load(Ordering::Relaxed)) {
             return;

@@ -110,6 +110,7 @@ impl Field {
         (p.x - q.x).hypot(p.y - q.y) < (self.place_px(one) + self.place_px(other)) / 2.0
     }
 
+    /// The points, pixels, in the order in which they came.
     pub fn points(&self) -> &[PixelPoint] {
         &self.points
     }
@@ -120,10 +121,12 @@ impl Field {
         self.densities[index]
     }
 
+    /// The upper left corner of the box around all points.
     pub fn origin(&self) -> PixelPoint {
         self.origin
     }
 
+    /// Area of the box around all points.
     pub fn area_px2(&self) -> f64 {
         self.width_px * self.height_px
     }
@@ -134,6 +137,7 @@ impl Field {
         self.density
     }
 
+    /// Whether a place lies in that box, its edges included.
     #[inline]
     pub fn contains(&self, p: PixelPoint) -> bool {
         // Without a branch: it is asked of many places that lie in and out in turn.

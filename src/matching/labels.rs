@@ -61,6 +61,7 @@ impl Names {
         of.iter().any(Option::is_some).then_some(Names { of })
     }
 
+    /// Whether the label of a candidate, if it has one, is this point's.
     #[inline]
     pub fn allow(&self, candidate: usize, gcp: usize) -> bool {
         self.of[candidate].is_none_or(|named| named == gcp)

@@ -25,6 +25,7 @@ pub(super) struct Prediction {
 }
 
 impl Prediction {
+    /// The radius for a tolerance that is `level_px` in the middle.
     pub fn radius_px(&self, level_px: f64) -> f64 {
         level_px * self.spread
     }
@@ -35,6 +36,7 @@ impl Prediction {
         self.nearest.filter(|nearest| nearest.1 <= radius_px * radius_px).map(|nearest| nearest.0)
     }
 
+    /// Points per px² about the place.
     pub fn density(&self, field: &Field) -> f64 {
         *self.density.get_or_init(|| field.density_near(self.place))
     }

@@ -323,6 +323,22 @@ impl Found {
         }
     }
 
+    /// Sets the pattern that would be believed against its rivals, `done` of the `pairs` being tried already. A rival
+    /// that takes the first place must answer the same questions.
+    fn challenge(&mut self, search: &Search, pairs: &[GcpPair], limit: f64, (done, work): (usize, &Work)) {
+        for _ in 0..MOST_CHALLENGES {
+            self.sharpen(search, pairs, limit);
+            let Some(best) = self.best.clone().filter(|best| best.log10_false_alarms <= limit) else { break };
+            let spent = work.as_with_every_look(work.tried);
+            let (rivals, tried) = search.rivals(&best, pairs, (done, spent));
+            self.effort.hypotheses_tried += tried;
+            rivals.into_iter().for_each(|rival| self.take(rival, search));
+            if self.best.as_ref().is_some_and(|now| search.same_claim(now, &best)) {
+                break;
+            }
+        }
+    }
+
     /// The pattern that would be believed, without marks that stand beside their points.
     fn sharpen(&mut self, search: &Search, pairs: &[GcpPair], limit: f64) {
         let believed = self.best.as_ref().filter(|best| best.log10_false_alarms <= limit);
@@ -346,6 +362,7 @@ impl Found {
         }
     }
 
+    /// Takes in a pattern, when it is better than one of the best two.
     pub fn take(&mut self, pattern: Pattern, search: &Search) {
         let better = |one: &Pattern, other: &Option<Pattern>| {
             other.as_ref().is_none_or(|o| one.log10_false_alarms < o.log10_false_alarms)
@@ -461,18 +478,7 @@ impl RobustMatcher {
             }
         }
         found.refine(waiting.next(), &search, &mut work);
-        // A rival that takes the first place must answer the same questions.
-        for _ in 0..MOST_CHALLENGES {
-            found.sharpen(&search, &pairs, limit);
-            let Some(best) = found.best.clone().filter(|best| best.log10_false_alarms <= limit) else { break };
-            let spent = work.as_with_every_look(work.tried);
-            let (rivals, tried) = search.rivals(&best, &pairs, (done, spent));
-            found.effort.hypotheses_tried += tried;
-            rivals.into_iter().for_each(|rival| found.take(rival, &search));
-            if found.best.as_ref().is_some_and(|now| search.same_claim(now, &best)) {
-                break;
-            }
-        }
+        found.challenge(&search, &pairs, limit, (done, &work));
         found.tell_apart(&search);
         if let Some(sure) = found.best.as_ref().and_then(|best| search.without_doubtful_far(best)) {
             found.best = Some(sure);

@@ -15,6 +15,7 @@ pub(super) struct Waiting<'p> {
 }
 
 impl<'p> Waiting<'p> {
+    /// Nothing waits yet.
     pub fn new() -> Waiting<'p> {
         Waiting { best: Vec::new(), bar: Bar::of(REFINED_PER_PAIR) }
     }

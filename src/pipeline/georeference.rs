@@ -75,6 +75,7 @@ pub struct Run {
     pub rematch_s: f64,
 }
 
+/// What a run ends with.
 #[derive(Clone, Debug)]
 pub enum Outcome {
     Solved(Box<Orientation>),

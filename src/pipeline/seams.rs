@@ -187,6 +187,7 @@ impl Seams {
         Seams { grid, kept: HashMap::new(), bytes: 0, capacity_bytes, pool }
     }
 
+    /// Keeps the seam of a tile while there is room.
     pub fn keep(&mut self, tile: u64, seam: Seam) {
         if self.bytes + seam.bytes <= self.capacity_bytes {
             self.bytes += seam.bytes;
@@ -214,6 +215,7 @@ impl Seams {
         *seam = Seam { parts, bytes };
     }
 
+    /// The seam of a tile is needed no more.
     pub fn drop_tile(&mut self, tile: u64) {
         if let Some(seam) = self.kept.remove(&tile) {
             self.bytes -= seam.bytes;

@@ -40,6 +40,7 @@ pub struct Move {
 }
 
 impl Move {
+    /// The advice in words.
     pub fn words(&self) -> String {
         format!(
             "move {} by {:.1} m to the {}, to E {:.2}, N {:.2}",

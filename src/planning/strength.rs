@@ -29,6 +29,7 @@ pub struct CornerStrength {
     pub error_95_after_loss_m: Option<f64>,
 }
 
+/// How well a layout of marks would tell the transform.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Strength {
     /// 1σ of a coordinate of one mark, metres.

@@ -84,6 +84,7 @@ pub enum Space {
 }
 
 impl Space {
+    /// A colour, sRGB, in this space.
     pub fn convert(self, rgb: [f64; 3]) -> Vector3<f64> {
         match self {
             Space::Lab => lab_from_srgb(rgb),

@@ -128,6 +128,7 @@ pub struct CloudSpec {
     pub covariance: [[f64; 3]; 3],
 }
 
+/// A box in the space of colours.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoughBox {

@@ -28,6 +28,7 @@ pub struct Stretch {
 }
 
 impl Stretch {
+    /// A sample as a level from 0 to 255.
     pub fn to_byte(&self, sample: f64) -> u8 {
         ((sample - self.low) / (self.high - self.low) * 255.0).round().clamp(0.0, 255.0) as u8
     }
@@ -53,6 +54,7 @@ pub struct Overview {
 }
 
 impl Overview {
+    /// Empty, of the size that suits the image.
     pub fn new(info: &RasterInfo) -> Self {
         let (w, h) = (info.width as f64, info.height as f64);
         let step = (w / MAX_SIDE_PX).max(h / MAX_SIDE_PX).max((w * h / MAX_PIXELS).sqrt()).max(1.0);

@@ -91,6 +91,7 @@ pub enum Solver {
 }
 
 impl Solver {
+    /// As JSON has it.
     pub fn name(self) -> &'static str {
         match self {
             Solver::Horn => "Horn",

@@ -154,6 +154,7 @@ pub struct RefusedRun {
     pub best_pattern: Option<Pattern>,
 }
 
+/// What was read.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ImageInfo {
     pub path: String,
@@ -207,6 +208,7 @@ pub struct PriorGeoreference {
     pub corner_moved_m: Option<f64>,
 }
 
+/// How much was read.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Reading {
     pub blocks_in_file: u64,
@@ -255,6 +257,7 @@ impl RunResult {
         self.warnings.push(words.into());
     }
 
+    /// Whether it was solved.
     pub fn status(&self) -> Status {
         match self.outcome {
             RunOutcome::Solved(_) => Status::Solved,
@@ -262,6 +265,7 @@ impl RunResult {
         }
     }
 
+    /// `None` of a refused run.
     pub fn solved(&self) -> Option<&SolvedRun> {
         match &self.outcome {
             RunOutcome::Solved(solved) => Some(solved),
@@ -269,6 +273,7 @@ impl RunResult {
         }
     }
 
+    /// Likewise, to be changed.
     pub fn solved_mut(&mut self) -> Option<&mut SolvedRun> {
         match &mut self.outcome {
             RunOutcome::Solved(solved) => Some(solved),
@@ -276,6 +281,7 @@ impl RunResult {
         }
     }
 
+    /// `None` of a solved run.
     pub fn refused(&self) -> Option<&RefusedRun> {
         match &self.outcome {
             RunOutcome::Refused(refused) => Some(refused),

@@ -11,6 +11,7 @@ use autoref_raster::mask::{Element, Mask};
 
 use crate::profile::Filters;
 
+/// What a mask goes through before it is labelled.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MaskFilters {
     median: bool,

@@ -122,6 +122,7 @@ pub struct Labeller {
 }
 
 impl Labeller {
+    /// One that has labelled nothing yet.
     pub fn new() -> Self {
         Self::default()
     }

@@ -60,6 +60,7 @@ impl PaintTest {
         self.clouds.iter().map(|c| c.distance2(&at)).fold(f64::INFINITY, f64::min)
     }
 
+    /// Whether a colour, 8-bit levels, is that of paint.
     pub fn is_paint(&self, colour: [u8; 3]) -> bool {
         self.relative_distance2(colour) <= 1.0
     }

@@ -248,6 +248,7 @@ impl Cells {
 impl ColourTable {
     const SLAB_WORDS: usize = 16 * 65_536 / 64;
 
+    /// What a test says of every colour.
     pub fn new(test: &PaintTest) -> ColourTable {
         let mut words = vec![0u64; (1 << 24) / 64];
         let judge = Judge::of(test);
@@ -260,6 +261,7 @@ impl ColourTable {
         ColourTable { cells: Cells::of(&words), words, bounds }
     }
 
+    /// What the test says of a colour.
     pub fn get(&self, c: [u8; 3]) -> bool {
         let verdict = self.cells.get(c);
         if verdict != Cells::SOME {

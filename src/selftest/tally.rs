@@ -5,10 +5,9 @@ use std::collections::BTreeMap;
 use crate::candidate::Candidate;
 use crate::matching::field::Field;
 use autoref_raster::coords::PixelPoint;
+use autoref_raster::normal::WITHIN_95;
 use autoref_raster::ranks::upper_median;
 
-/// 97.5 % quantile of the standard normal distribution.
-const Z_95: f64 = 1.959_964;
 /// Side of the squares of ground whose marks share their troubles (a red roof, a clay court), pixels.
 const SQUARE_PX: f64 = 512.0;
 
@@ -56,6 +55,7 @@ impl Tally {
         }
     }
 
+    /// Marks that were found.
     pub fn found(&self) -> usize {
         self.errors.len()
     }
@@ -90,9 +90,9 @@ impl Tally {
         if self.marks == 0 {
             return (0.0, 1.0);
         }
-        let (n, p, z2) = (self.marks as f64 / self.design_effect(), self.recall(), Z_95 * Z_95);
+        let (n, p, z2) = (self.marks as f64 / self.design_effect(), self.recall(), WITHIN_95 * WITHIN_95);
         let middle = (p + z2 / (2.0 * n)) / (1.0 + z2 / n);
-        let half = Z_95 / (1.0 + z2 / n) * (p * (1.0 - p) / n + z2 / (4.0 * n * n)).sqrt();
+        let half = WITHIN_95 / (1.0 + z2 / n) * (p * (1.0 - p) / n + z2 / (4.0 * n * n)).sqrt();
         ((middle - half).max(0.0), (middle + half).min(1.0))
     }
 
@@ -124,8 +124,8 @@ impl Tally {
 /// exact to a few per cent from zero on.
 pub fn poisson_95(count: usize) -> (f64, f64) {
     let bound = |k: f64, z: f64| k * (1.0 - 1.0 / (9.0 * k) + z / (3.0 * k.sqrt())).powi(3);
-    let low = if count == 0 { 0.0 } else { bound(count as f64, -Z_95).max(0.0) };
-    (low, bound(count as f64 + 1.0, Z_95))
+    let low = if count == 0 { 0.0 } else { bound(count as f64, -WITHIN_95).max(0.0) };
+    (low, bound(count as f64 + 1.0, WITHIN_95))
 }
 
 #[cfg(test)]

@@ -81,6 +81,7 @@ pub struct Polygon {
 }
 
 impl Polygon {
+    /// Of areas, each with its outline and its holes.
     pub fn new(areas: Vec<Vec<Ring>>) -> Polygon {
         let (mut min, mut max) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for corner in areas.iter().flatten().flatten() {

@@ -22,6 +22,7 @@ impl Bounds {
     /// The box of nothing.
     pub const EMPTY: Bounds = Bounds { min: [f64::INFINITY; 3], max: [f64::NEG_INFINITY; 3] };
 
+    /// Grows it to hold a place.
     pub fn add(&mut self, xyz: [f64; 3]) {
         for axis in 0..3 {
             self.min[axis] = self.min[axis].min(xyz[axis]);
@@ -29,6 +30,7 @@ impl Bounds {
         }
     }
 
+    /// Grows it to hold another box.
     pub fn merge(&mut self, other: &Bounds) {
         for axis in 0..3 {
             self.min[axis] = self.min[axis].min(other.min[axis]);
@@ -36,16 +38,19 @@ impl Bounds {
         }
     }
 
+    /// The box of points.
     pub fn of(points: &[Point]) -> Bounds {
         Bounds::of_places(points.iter().map(|point| point.xyz))
     }
 
+    /// The box of places.
     pub fn of_places(places: impl Iterator<Item = [f64; 3]>) -> Bounds {
         let mut bounds = Bounds::EMPTY;
         places.for_each(|xyz| bounds.add(xyz));
         bounds
     }
 
+    /// Whether it holds nothing.
     pub fn is_empty(&self) -> bool {
         self.min[0] > self.max[0]
     }
@@ -147,10 +152,12 @@ impl Tree {
         self.find_splits(2 * node + 2, middle + 1, end, upper);
     }
 
+    /// The points, in the tree's order.
     pub fn points(&self) -> &[Point] {
         &self.points
     }
 
+    /// The box of all points.
     pub fn bounds(&self) -> &Bounds {
         &self.bounds
     }

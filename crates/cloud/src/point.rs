@@ -15,6 +15,7 @@ pub struct Point {
 }
 
 impl Point {
+    /// A point that no step has seen; `index` is its place in the file, from 0.
     pub fn new(xyz: [f64; 3], index: u64) -> Point {
         Point { xyz, tag: index & INDEX_MASK }
     }
@@ -30,6 +31,7 @@ impl Point {
     pub(crate) fn step_byte(&self) -> u8 {
         (self.tag >> 56) as u8
     }
+    /// The number of the step that classified it, from 1; 0 when none did.
     pub fn step(&self) -> u8 {
         self.step_byte() & 0x7f
     }

@@ -193,13 +193,16 @@ pub struct Batch {
 }
 
 impl Batch {
+    /// Takes all points out.
     pub fn clear(&mut self) {
         self.xyz.clear();
         self.raw.clear();
     }
+    /// Number of points.
     pub fn len(&self) -> usize {
         self.xyz.len()
     }
+    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.xyz.is_empty()
     }

@@ -3,6 +3,8 @@
 //! A crate of its own, because `rustfft` is compiled into whatever names a type for its numbers, and takes a minute. It
 //! imports no other of the house.
 
+#![warn(missing_docs)]
+
 use rustdct::{DctPlanner, TransformType2And3};
 use std::sync::Arc;
 

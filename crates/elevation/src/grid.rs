@@ -27,6 +27,7 @@ impl Grid {
         (plain && finite).then_some(Grid { x0: g[0], y0: g[3], step_x: g[1], step_y: g[5], width, height })
     }
 
+    /// Cells, from the outer corner of the first, to the map.
     pub fn transform(&self) -> GeoTransform {
         GeoTransform([self.x0, self.step_x, 0.0, self.y0, 0.0, self.step_y])
     }

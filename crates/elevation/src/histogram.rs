@@ -32,6 +32,7 @@ impl<const BITS: u32> Default for FloatHistogram<BITS> {
 }
 
 impl<const BITS: u32> FloatHistogram<BITS> {
+    /// Counts a value.
     #[inline]
     pub fn add(&mut self, value: f32) {
         let bucket = (order_key(value) >> (32 - BITS)) as usize;
@@ -39,6 +40,7 @@ impl<const BITS: u32> FloatHistogram<BITS> {
         page[bucket & ((1 << PAGE_BITS) - 1)] += 1;
     }
 
+    /// Adds another's counts.
     pub fn merge(&mut self, other: &Self) {
         for (mine, theirs) in self.pages.iter_mut().zip(&other.pages) {
             match (mine, theirs) {

@@ -111,10 +111,12 @@ impl Model {
         Model { lift: Some(lift), ..self }
     }
 
+    /// Where it lies.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
+    /// `None` when the file says none.
     pub fn crs(&self) -> Option<&Crs> {
         self.crs.as_ref()
     }
@@ -124,10 +126,12 @@ impl Model {
         &self.wkt
     }
 
+    /// The value that stands for no height.
     pub fn nodata(&self) -> Option<f64> {
         self.band.nodata
     }
 
+    /// How heights are stored.
     pub fn kind(&self) -> GdalDataType {
         self.kind
     }
@@ -142,6 +146,7 @@ impl Model {
         (self.band.scale.0 * self.band.metres_per_value, self.band.scale.1 * self.band.metres_per_value)
     }
 
+    /// Metres in a unit of the heights.
     pub fn metres_per_value(&self) -> f64 {
         self.band.metres_per_value
     }

@@ -52,6 +52,7 @@ impl MemoryHeights {
         MemoryHeights { grid, values }
     }
 
+    /// Heights row by row.
     pub fn values(&self) -> &[f64] {
         &self.values
     }
@@ -94,6 +95,7 @@ pub struct Means<'a, H: Heights + ?Sized> {
 }
 
 impl<'a, H: Heights + ?Sized> Means<'a, H> {
+    /// Means over `factor` × `factor` cells of another.
     pub fn new(inner: &'a H, factor: u64) -> Self {
         Means { inner, factor: factor.max(1) }
     }

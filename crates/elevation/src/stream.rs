@@ -25,6 +25,7 @@ impl Default for Means {
 }
 
 impl Means {
+    /// Square tiles of this side, pixels, worked on by so many threads.
     pub fn square(tile_px: u64, threads: usize) -> Means {
         Means { tile_px, tile_rows_px: tile_px, threads }
     }

@@ -74,10 +74,12 @@ impl Zones {
         Zones { edges, by_northing: SidesByNorthing::new(&spans), names }
     }
 
+    /// Of the areas, in their order.
     pub fn names(&self) -> &[String] {
         &self.names
     }
 
+    /// Whether there is no area.
     pub fn is_empty(&self) -> bool {
         self.edges.is_empty()
     }

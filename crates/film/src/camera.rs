@@ -98,11 +98,10 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
     if !(2..=64).contains(&camera.marks.len()) {
         return wrong("marks".into(), "a camera has 2 to 64 marks");
     }
-    if !camera.masked_mm.iter().flatten().all(|v| v.is_finite() && v.abs() < 2000.0) {
-        return wrong(
-            "masked_mm".into(),
-            "every box is four numbers in millimetres: x, y, x, y of two opposite corners",
-        );
+    for (boxes, place) in [(&camera.masked_mm, "masked_mm"), (&camera.text_boxes_mm, "text_boxes_mm")] {
+        if !boxes.iter().flatten().all(|v| v.is_finite() && v.abs() < 2000.0) {
+            return wrong(place.into(), "every box is four numbers in millimetres: x, y, x, y of two opposite corners");
+        }
     }
     for (axis, place) in [|m: &CameraMark| m.x_mm, |m: &CameraMark| m.y_mm].iter().enumerate() {
         let places = || camera.marks.iter().filter_map(place);
@@ -206,6 +205,12 @@ fn from_distances(camera: &mut Camera, path: &Path) -> Result<()> {
 }
 
 impl Camera {
+    /// Boxes that show no ground on any frame: those to be masked, else those of text. Two opposite corners x, y, x, y
+    /// in millimetres, in the camera's axes.
+    pub fn boxes_off_ground_mm(&self) -> &[[f64; 4]] {
+        if self.masked_mm.is_empty() { &self.text_boxes_mm } else { &self.masked_mm }
+    }
+
     /// Positions of the marks on the film, millimetres, x to the right and y **down**, whatever the camera's own axes.
     pub fn film_points(&self) -> Vec<[f64; 2]> {
         let sign = self.y_sign();

@@ -39,6 +39,7 @@ pub(super) enum Centre {
 }
 
 impl Centre {
+    /// From the click to the centre; `None` where the click is all that is known.
     pub fn shift(self) -> Option<[f64; 2]> {
         match self {
             Centre::Same(shift) | Centre::Faint(shift) | Centre::Own(shift) => Some(shift),

@@ -30,6 +30,7 @@ pub struct Assembly {
 }
 
 impl Assembly {
+    /// How many marks have a peak.
     pub fn marks(&self) -> usize {
         self.chosen.iter().flatten().count()
     }
@@ -176,12 +177,6 @@ pub struct Naming {
     pub rms_px: f64,
     /// They only fit without the worst of four or more marks.
     pub leaves_out: bool,
-}
-
-impl Naming {
-    pub fn is_upright(&self) -> bool {
-        self.turn_deg == 0.0 && !self.mirrored.is_mirrored()
-    }
 }
 
 /// Every naming of `places` (found under the naming `now`, film index by film index) that turning the frame by quarters

@@ -188,6 +188,7 @@ pub struct Matcher {
 }
 
 impl Matcher {
+    /// A template laid out for correlation.
     pub fn of(t: &Template) -> Matcher {
         let outlines = if t.parts.is_empty() {
             vec![Outline::of(t, t, 1.0)]

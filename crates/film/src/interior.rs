@@ -53,11 +53,13 @@ impl Pose {
         Pose { linear, offset, mirrored, stretch: Stretch::NONE }
     }
 
+    /// Film (millimetres, y down) → scan (pixels).
     pub fn apply(&self, mm: [f64; 2]) -> PixelPoint {
         let l = &self.linear;
         PixelPoint { x: l[0] * mm[0] + l[1] * mm[1] + self.offset[0], y: l[2] * mm[0] + l[3] * mm[1] + self.offset[1] }
     }
 
+    /// Pixels of a millimetre, the root of its area.
     pub fn px_per_mm(&self) -> f64 {
         let l = &self.linear;
         (l[0] * l[3] - l[1] * l[2]).abs().sqrt()
@@ -180,6 +182,7 @@ pub fn rms_px(pose: &Pose, points: &[([f64; 2], PixelPoint)]) -> f64 {
     (sum / points.len().max(1) as f64).sqrt()
 }
 
+/// Pixels between two places.
 pub fn distance(a: PixelPoint, b: PixelPoint) -> f64 {
     (a.x - b.x).hypot(a.y - b.y)
 }

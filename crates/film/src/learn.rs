@@ -90,32 +90,7 @@ fn learn_visiting(
     let mut elsewhere = vec![false; camera.marks.len()];
     // The second round looks with the average of the first.
     for _ in 0..2 {
-        let mut stacks: Vec<Option<Stack>> = vec![None; camera.marks.len()];
-        let mut grid: Option<Grid> = None;
-        // What somebody pointed at is a mark, whether or not it is found again.
-        if let Some(shown) = &shown {
-            grid = Some(shown.grid);
-            for (k, stack) in shown.stacks().into_iter().filter(|(k, _)| !shown.is_guessed(*k)) {
-                stacks[k] = Some(stack);
-            }
-        }
-        for number in usize::from(shown.is_some())..count {
-            visit(number, &mut |scan| {
-                let Some((frame, pose)) = examine(&finder, scan, shown.as_ref(), options)? else {
-                    let path = &scan.info().path;
-                    tracing::warn!("{}: the marks were not found in it; not learned from", path.display());
-                    return Ok(());
-                };
-                let grid = *grid.get_or_insert_with(|| Grid::new(&pose, window_mm));
-                add_windows(scan, camera, (&frame, &pose), shown.as_ref(), &grid, &mut stacks)
-            })?;
-        }
-        let Some(grid) = grid else {
-            return Err(Error::usage(
-                "no frame shows marks that could be learned",
-                "point at them in the first frame with --at MARK=X,Y, two or more",
-            ));
-        };
+        let (mut stacks, grid) = stacked((count, visit), camera, &finder, shown.as_ref(), window_mm, options)?;
         if let Some(shown) = &shown {
             elsewhere = stacks.iter().map(Option::is_some).collect();
             for (k, window) in shown.guessed_windows() {
@@ -136,6 +111,47 @@ fn learn_visiting(
         }
     }
     Ok(templates)
+}
+
+/// The windows of every mark in all scans, and the grid that they lie on.
+///
+/// # Errors
+/// Those of reading the scans; [`Error::Usage`] when no frame shows the marks.
+fn stacked(
+    (count, visit): (usize, Visit),
+    camera: &Camera,
+    finder: &Finder,
+    shown: Option<&Shown>,
+    window_mm: [f64; 2],
+    options: &FindOptions,
+) -> Result<(Vec<Option<Stack>>, Grid)> {
+    let mut stacks: Vec<Option<Stack>> = vec![None; camera.marks.len()];
+    let mut grid: Option<Grid> = None;
+    // What somebody pointed at is a mark, whether or not it is found again.
+    if let Some(shown) = shown {
+        grid = Some(shown.grid);
+        for (k, stack) in shown.stacks().into_iter().filter(|(k, _)| !shown.is_guessed(*k)) {
+            stacks[k] = Some(stack);
+        }
+    }
+    for number in usize::from(shown.is_some())..count {
+        visit(number, &mut |scan| {
+            let Some((frame, pose)) = examine(finder, scan, shown, options)? else {
+                let path = &scan.info().path;
+                tracing::warn!("{}: the marks were not found in it; not learned from", path.display());
+                return Ok(());
+            };
+            let grid = *grid.get_or_insert_with(|| Grid::new(&pose, window_mm));
+            add_windows(scan, camera, (&frame, &pose), shown, &grid, &mut stacks)
+        })?;
+    }
+    let Some(grid) = grid else {
+        return Err(Error::usage(
+            "no frame shows marks that could be learned",
+            "point at them in the first frame with --at MARK=X,Y, two or more",
+        ));
+    };
+    Ok((stacks, grid))
 }
 
 /// Finds the marks in a further frame, first as it lay when they were pointed at: marks in a square, which may all look

@@ -15,6 +15,8 @@ const SAME_PX: f64 = 0.4;
 /// Clockwise turn of the frame, and whether it is mirrored.
 type Way = (f64, Handedness);
 
+const UPRIGHT: Way = (0.0, Handedness::AsIs);
+
 /// What the naming of a frame's marks leaves to say.
 #[derive(Default)]
 pub(super) struct Named {
@@ -58,8 +60,8 @@ impl Named {
 }
 
 impl Finder {
-    fn taken_by(&self, is_upright: bool) -> TakenBy {
-        if self.camera.upright && is_upright { TakenBy::Camera } else { TakenBy::Chance }
+    fn taken_by(&self, way: Way) -> TakenBy {
+        if self.camera.upright && way == UPRIGHT { TakenBy::Camera } else { TakenBy::Chance }
     }
 
     /// Whether all marks are their own mirror images.
@@ -93,7 +95,7 @@ impl Finder {
         let Some(best) = all.first() else {
             // Of two places any way is as good.
             if by_shape {
-                named.say(rivals, rivals[0], self.taken_by(rivals[0] == (0.0, Handedness::AsIs)));
+                named.say(rivals, rivals[0], self.taken_by(rivals[0]));
             }
             return named;
         };
@@ -109,7 +111,8 @@ impl Finder {
             .clone();
         if as_good.len() > 1 {
             let ways: Vec<Way> = as_good.iter().map(|n| (n.turn_deg, n.mirrored)).collect();
-            named.say(&ways, (taken.turn_deg, taken.mirrored), self.taken_by(taken.is_upright()));
+            let way = (taken.turn_deg, taken.mirrored);
+            named.say(&ways, way, self.taken_by(way));
         }
         if let (Some(turn_deg), None, true) = (options.turn_deg, options.mirrored, taken.mirrored.is_mirrored()) {
             let ways = [0.0, 90.0, 180.0, 270.0].map(|turn| (turn, Handedness::AsIs));

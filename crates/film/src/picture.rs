@@ -16,10 +16,12 @@ pub struct Picture<'a> {
 }
 
 impl<'a> Picture<'a> {
+    /// Nothing is drawn yet; `linear` takes millimetres on the film to pixels.
     pub fn new(model: &'a Model, linear: Linear) -> Picture<'a> {
         Picture { model, linear, levels: Default::default() }
     }
 
+    /// Pixels of a millimetre, the root of its area.
     pub fn px_per_mm(&self) -> f64 {
         (self.linear[0] * self.linear[3] - self.linear[1] * self.linear[2]).abs().sqrt()
     }

@@ -46,6 +46,7 @@ pub struct Levels {
 }
 
 impl Levels {
+    /// Those that suit the size of a mark and its finest detail in pixels.
     pub fn of(picture: &Picture) -> Levels {
         let px_per_mm = picture.px_per_mm();
         let size = 2.0 * picture.model.radius_mm() * px_per_mm;

@@ -157,6 +157,7 @@ pub struct Outlines<'a> {
 }
 
 impl Outlines<'_> {
+    /// What does not change from place to place, worked out.
     pub fn of(kind: &MarkKind) -> Outlines<'_> {
         let lines_deg = match kind {
             MarkKind::Cross { lines_deg, .. } | MarkKind::RingCross { lines_deg, .. } => *lines_deg,

@@ -187,6 +187,7 @@ impl Shown {
         self.guessed().map(|m| (m.k, Stack::of(&m.window)))
     }
 
+    /// Whether the place of mark `k` rests on what the others look like.
     pub fn is_guessed(&self, k: usize) -> bool {
         self.cut.contains(&k) || self.guessed().any(|m| m.k == k)
     }

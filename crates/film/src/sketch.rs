@@ -35,6 +35,7 @@ pub(super) struct Sketches<'a> {
 }
 
 impl<'a> Sketches<'a> {
+    /// The mark as drawn before under nearly this map of millimetres to pixels, else drawn now.
     pub fn of(&mut self, model: &'a Model, linear: Linear) -> Rc<Sketch<'a>> {
         let size = linear.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
         let close = |other: &Linear| other.iter().zip(&linear).all(|(a, b)| (a - b).abs() <= SAME * size);

@@ -95,12 +95,14 @@ pub(super) struct Stack {
 }
 
 impl Stack {
+    /// Of one window, values row by row.
     pub fn of(window: &[f32]) -> Stack {
         let mut stack = Stack { windows: 0, sum: vec![0.0; window.len()], square: vec![0.0; window.len()] };
         stack.add(window);
         stack
     }
 
+    /// One more window of the same size.
     pub fn add(&mut self, window: &[f32]) {
         self.windows += 1;
         for ((sum, square), v) in self.sum.iter_mut().zip(&mut self.square).zip(window) {
@@ -109,6 +111,7 @@ impl Stack {
         }
     }
 
+    /// Their mean on the grid that they lie on, with how far they differ.
     pub fn average(&self, grid: &Grid) -> LearnedTemplate {
         let n = self.windows as f64;
         let mean = |k: usize| self.sum[k] / n;

@@ -114,6 +114,7 @@ impl Model {
         half.max(0.5 * (out + inward))
     }
 
+    /// Its finest detail, by which pictures are decimated, millimetres.
     pub fn detail_mm(&self) -> f64 {
         match self {
             Model::Drawn(kind) => shape::detail_mm(kind),
@@ -137,10 +138,12 @@ impl Model {
         }
     }
 
+    /// Whether it is drawn from numbers, not learned.
     pub fn is_drawn(&self) -> bool {
         matches!(self, Model::Drawn(_))
     }
 
+    /// Whether it is known to be its own mirror image.
     pub fn is_symmetric(&self) -> bool {
         match self {
             Model::Drawn(kind) => shape::is_symmetric(kind),
@@ -374,6 +377,7 @@ fn normalise(mut t: Template) -> Option<Template> {
     Some(t)
 }
 
+/// The inverse; `None` of a map that squeezes the plane into a line.
 pub fn invert(m: Linear) -> Option<Linear> {
     let det = m[0] * m[3] - m[1] * m[2];
     (det.is_finite() && det.abs() > 1e-12).then(|| [m[3] / det, -m[1] / det, -m[2] / det, m[0] / det])

@@ -47,6 +47,10 @@ pub struct Camera {
     /// Boxes of text and instruments that `--resample` masks: two opposite corners x, y, x, y in the camera's axes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub masked_mm: Vec<[f64; 4]>,
+    /// Boxes of text that masks of the ground leave out where `masked_mm` names none, likewise. `--resample` does not
+    /// mask them: their sizes are a guess.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub text_boxes_mm: Vec<[f64; 4]>,
 }
 
 /// One fiducial mark of a camera.
@@ -144,6 +148,7 @@ pub enum FrameStatus {
     },
 }
 
+/// Whether a mark was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MarkStatus {
@@ -172,6 +177,7 @@ pub struct MarkFind {
     pub reason: Option<String>,
 }
 
+/// The transform from scan to film.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InteriorModel {
@@ -254,6 +260,7 @@ pub struct FrameResult {
 }
 
 impl FrameResult {
+    /// Whether the frame has an interior orientation that nothing speaks against.
     pub fn is_ok(&self) -> bool {
         self.status == FrameStatus::Ok
     }

@@ -29,6 +29,7 @@ pub struct Grey {
 }
 
 impl Grey {
+    /// The value in column `x` and row `y`.
     pub fn at(&self, x: usize, y: usize) -> f32 {
         self.data[y * self.width + x]
     }
@@ -39,6 +40,7 @@ impl Grey {
         PixelPoint { x: self.origin[0] as f64 + f * x, y: self.origin[1] as f64 + f * y }
     }
 
+    /// From the scan's pixels to a place in units of values, 0 the outer corner of the first.
     pub fn from_scan(&self, p: PixelPoint) -> [f64; 2] {
         let f = self.factor as f64;
         [(p.x - self.origin[0] as f64) / f, (p.y - self.origin[1] as f64) / f]

@@ -73,12 +73,14 @@ impl Parameter {
         use Parameter::*;
         [F, Aspect, Cx, Cy, K1, K2, K3, K4, K5, K6, D1, D2, D3, P1, P2, B1, B2, Dx, Dy]
     };
+    /// As files and the command line have it.
     pub fn name(self) -> &'static str {
         [
             "f", "aspect", "cx", "cy", "k1", "k2", "k3", "k4", "k5", "k6", "d1", "d2", "d3", "p1", "p2", "b1", "b2",
             "dx", "dy",
         ][self as usize]
     }
+    /// The one of that name.
     pub fn by_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|p| p.name() == name)
     }
@@ -129,20 +131,25 @@ impl Camera {
         let (size_of, projection) = (SizeOf::Image, Projection::Perspective);
         Camera { name: name.into(), size_px, size_of, projection, values, before, after }
     }
+    /// The value of a parameter; of f, cx and cy in pixels.
     pub fn get(&self, parameter: Parameter) -> f64 {
         self.values[parameter as usize]
     }
+    /// Gives a parameter another value.
     pub fn set(&mut self, parameter: Parameter, value: f64) -> &mut Self {
         self.values[parameter as usize] = value;
         self
     }
+    /// The same camera with another value of a parameter.
     pub fn with(mut self, parameter: Parameter, value: f64) -> Self {
         self.set(parameter, value);
         self
     }
+    /// Focal length, pixels.
     pub fn f_px(&self) -> f64 {
         self.get(Parameter::F)
     }
+    /// Principal point, pixels from the outer corner of the first.
     pub fn pp_px(&self) -> [f64; 2] {
         [self.get(Parameter::Cx), self.get(Parameter::Cy)]
     }
@@ -272,6 +279,7 @@ impl Camera {
         }
     }
 
+    /// Whether a place in pixels lies in the image, its edges included.
     pub fn contains(&self, pixel: [f64; 2]) -> bool {
         (0.0..=self.size_px[0]).contains(&pixel[0]) && (0.0..=self.size_px[1]).contains(&pixel[1])
     }
@@ -302,10 +310,12 @@ impl Projection {
         [Perspective, Fisheye, Equisolid, Stereographic, Orthographic, Equirectangular]
     };
 
+    /// As files have it.
     pub fn name(self) -> &'static str {
         ["perspective", "fisheye", "equisolid", "stereographic", "orthographic", "equirectangular"][self as usize]
     }
 
+    /// The one of that name.
     pub fn by_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|p| p.name() == name)
     }

@@ -36,6 +36,7 @@ pub struct Dual<const N: usize> {
 }
 
 impl<const N: usize> Dual<N> {
+    /// A number that depends on no variable.
     #[inline]
     pub fn constant(v: f64) -> Self {
         Dual { v, d: [0.0; N] }

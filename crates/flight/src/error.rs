@@ -16,18 +16,23 @@ pub enum Error {
     NoResult { what: String, remedy: String },
 }
 
+/// What this library returns.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
+    /// [`autoref_raster::Error::Format`].
     pub fn format(path: impl Into<PathBuf>, place: impl Into<String>, what: impl Into<String>) -> Self {
         Error::Raster(autoref_raster::Error::format(path, place, what))
     }
+    /// [`autoref_raster::Error::Usage`].
     pub fn usage(what: impl Into<String>, remedy: impl Into<String>) -> Self {
         Error::Raster(autoref_raster::Error::usage(what, remedy))
     }
+    /// [`autoref_raster::Error::Io`]; `action` is a verb phrase.
     pub fn io(path: impl Into<PathBuf>, action: impl Into<String>, source: std::io::Error) -> Self {
         Error::Raster(autoref_raster::Error::io(path, action, source))
     }
+    /// [`Error::NoResult`].
     pub fn no_result(what: impl Into<String>, remedy: impl Into<String>) -> Self {
         Error::NoResult { what: what.into(), remedy: remedy.into() }
     }

@@ -5,7 +5,8 @@
 //! ```
 //!
 //! Reads what other programs made ([`read`]), orients single photographs ([`resect`]), adjusts blocks ([`adjust`] over
-//! [`bundle`]), lays frames onto an elevation model ([`ortho`]) and renders flights with known truth ([`render`]).
+//! [`bundle`]), lays frames upon each other ([`ground_plane`], [`grey`]) and onto an elevation model ([`ortho`]) and
+//! renders flights with known truth ([`render`]).
 //! `docs/flight.md` has the method, what was measured and the limits; `docs/coordinates.md` the conventions of pixels,
 //! angles and units. This crate imports `autoref-raster` and `autoref-synth`.
 
@@ -15,6 +16,8 @@ pub mod camera;
 pub mod complete;
 pub mod dual;
 pub mod error;
+pub mod grey;
+pub mod ground_plane;
 pub mod intersect;
 mod line;
 pub mod lines;

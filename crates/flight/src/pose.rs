@@ -26,6 +26,7 @@ pub fn turn(rotation: &Matrix3<f64>, from: &Matrix3<f64>) -> Vector3<f64> {
 }
 
 impl Pose {
+    /// A point of the world in the camera's axes: x right, y down, z forward.
     #[inline]
     pub fn to_camera(&self, point: &Vector3<f64>) -> Vector3<f64> {
         let (r, by) = (&self.rotation, point - self.centre);
@@ -145,9 +146,11 @@ pub struct Similarity {
 }
 
 impl Similarity {
+    /// The one that moves nothing.
     pub fn identity() -> Self {
         Similarity { scale: 1.0, rotation: Matrix3::identity(), shift: Vector3::zeros() }
     }
+    /// Where it takes a point.
     pub fn apply(&self, x: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * x * self.scale + self.shift
     }

@@ -70,6 +70,7 @@ pub struct Moved {
 }
 
 impl Moved {
+    /// Whether both frames show the same ground there.
     pub fn is_laid(&self) -> bool {
         self.to.is_some()
     }

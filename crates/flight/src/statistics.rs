@@ -3,6 +3,7 @@
 
 use serde::Serialize;
 
+/// What values spread over.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Spread {
     pub max: f64,
@@ -29,6 +30,7 @@ impl Spread {
     }
 }
 
+/// The spread of residuals along each axis and of their lengths.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Residuals {
     pub n: usize,
@@ -39,6 +41,7 @@ pub struct Residuals {
 }
 
 impl Residuals {
+    /// Of residuals x, y, z; `None` of nothing.
     pub fn of(list: &[[f64; 3]]) -> Option<Self> {
         let axis = |a: usize| Spread::of(&list.iter().map(|r| r[a]).collect::<Vec<_>>());
         let d: Vec<f64> = list.iter().map(|r| (r[0] * r[0] + r[1] * r[1] + r[2] * r[2]).sqrt()).collect();

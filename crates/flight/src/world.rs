@@ -81,12 +81,14 @@ impl World {
         let at = [lon, lat, 0.0];
         Some(World::Curved(Tangent { geodesy, origin: geocentric(at), axes: tangent_axes(lon, lat), lon_lat_h: at }))
     }
+    /// Map → world; `None` where the map has no place on the Earth.
     pub fn to_world(&self, map: [f64; 3]) -> Option<Vector3<f64>> {
         match self {
             World::Flat { origin } => Some(Vector3::from(map) - origin),
             World::Curved(t) => Some(t.axes * (geocentric(t.geodesy.to_geographic(map)?) - t.origin)),
         }
     }
+    /// World → map; `None` where the map does not reach.
     pub fn to_map(&self, world: &Vector3<f64>) -> Option<[f64; 3]> {
         match self {
             World::Flat { origin } => Some((world + origin).into()),
@@ -132,6 +134,7 @@ impl World {
         let centre = geocentric(lon_lat_h) + axes.transpose() * pose.centre;
         Some(Pose { rotation: pose.rotation * axes * t.axes.transpose(), centre: t.axes * (centre - t.origin) })
     }
+    /// A pose of the map, as [`World::pose_to_map`] gives it, in the world.
     pub fn pose_to_world(&self, pose: &Pose) -> Option<Pose> {
         let map: [f64; 3] = pose.centre.into();
         Some(Pose { rotation: pose.rotation * self.grid(map)?.transpose(), centre: self.to_world(map)? })

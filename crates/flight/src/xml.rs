@@ -84,6 +84,7 @@ impl Element {
         Ok(stack.remove(0))
     }
 
+    /// The first child of that name.
     pub fn child(&self, name: &str) -> Option<&Element> {
         self.children.iter().find(|c| c.name == name)
     }
@@ -93,6 +94,7 @@ impl Element {
         self.child(name).or_else(|| self.children.iter().find_map(|c| c.find(name)))
     }
 
+    /// Brings all elements of that name, at any depth, into `into`.
     pub fn all<'a>(&'a self, name: &str, into: &mut Vec<&'a Element>) {
         for child in &self.children {
             if child.name == name {
@@ -107,6 +109,7 @@ impl Element {
         self.text.trim().trim_matches('"')
     }
 
+    /// Its text as numbers between spaces; `None` when one is none.
     pub fn numbers(&self) -> Option<Vec<f64>> {
         self.text.split_whitespace().map(|w| w.parse().ok().filter(|v: &f64| v.is_finite())).collect()
     }

@@ -195,6 +195,7 @@ struct Staged {
 }
 
 impl Transaction {
+    /// One that holds nothing yet.
     pub fn new() -> Self {
         Transaction::default()
     }

@@ -19,5 +19,6 @@ pub fn ends_with_us(command: &mut Command) {
     unsafe { command.pre_exec(bind) };
 }
 
+/// Does nothing: only Linux tells a child that its parent ended.
 #[cfg(not(target_os = "linux"))]
 pub fn ends_with_us(_: &mut Command) {}

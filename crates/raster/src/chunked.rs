@@ -21,6 +21,7 @@ pub struct Counters {
 }
 
 impl Counters {
+    /// Adds blocks decoded, blocks passed over and bytes read.
     pub fn add(&self, decoded: u64, skipped: u64, bytes: u64) {
         self.blocks_decoded.fetch_add(decoded, Ordering::Relaxed);
         self.blocks_skipped.fetch_add(skipped, Ordering::Relaxed);
@@ -55,6 +56,7 @@ pub struct ChunkedSource<D> {
 }
 
 impl<D: ChunkDecoder> ChunkedSource<D> {
+    /// A source that keeps up to `cache_bytes` of decoded chunks.
     pub fn new(decoder: D, cache_bytes: u64) -> Self {
         ChunkedSource { decoder, cache: ChunkCache::new(cache_bytes), counters: Counters::default() }
     }

@@ -46,6 +46,7 @@ impl GeoTransform {
         ])
     }
 
+    /// Image (pixels from the outer corner of the first, y down) → map.
     pub fn apply(&self, p: PixelPoint) -> MapPoint {
         let g = &self.0;
         MapPoint { easting: g[0] + g[1] * p.x + g[2] * p.y, northing: g[3] + g[4] * p.x + g[5] * p.y }
@@ -93,6 +94,7 @@ pub enum Handedness {
 impl Handedness {
     pub const BOTH: [Handedness; 2] = [Handedness::AsIs, Handedness::Mirrored];
 
+    /// Whether it is as in a mirror.
     pub fn is_mirrored(self) -> bool {
         self == Handedness::Mirrored
     }

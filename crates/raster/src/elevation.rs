@@ -60,6 +60,7 @@ impl ElevationModel {
         (self.width, self.height)
     }
 
+    /// Pixel corners to the model's CRS; `None` without a georeference.
     pub fn geotransform(&self) -> Option<GeoTransform> {
         self.facts.geotransform
     }

@@ -55,18 +55,23 @@ pub enum Error {
     Gdal { path: PathBuf, what: String },
 }
 
+/// What this library returns.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
+    /// [`Error::Format`].
     pub fn format(path: impl Into<PathBuf>, place: impl Into<String>, what: impl Into<String>) -> Self {
         Error::Format { path: path.into(), place: place.into(), what: what.into() }
     }
+    /// [`Error::Unsupported`].
     pub fn unsupported(path: impl Into<PathBuf>, what: impl Into<String>, remedy: impl Into<String>) -> Self {
         Error::Unsupported { path: path.into(), what: what.into(), remedy: remedy.into() }
     }
+    /// [`Error::Usage`].
     pub fn usage(what: impl Into<String>, remedy: impl Into<String>) -> Self {
         Error::Usage { what: what.into(), remedy: remedy.into() }
     }
+    /// [`Error::Io`]; `action` is a verb phrase.
     pub fn io(path: impl Into<PathBuf>, action: impl Into<String>, source: std::io::Error) -> Self {
         Error::Io { path: path.into(), action: action.into(), source }
     }

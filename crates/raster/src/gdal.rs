@@ -73,6 +73,7 @@ pub(super) struct GdalName {
 }
 
 impl GdalName {
+    /// Directory `page` of a file, counted from 0.
     pub fn new(path: &Path, page: usize) -> Self {
         let name = match page {
             0 => path.to_path_buf(),
@@ -472,6 +473,7 @@ impl Facts {
         }
     }
 
+    /// What GDAL says of a dataset.
     pub fn of(dataset: &Dataset) -> Self {
         // GDAL answers with an error when there is none.
         let geotransform = dataset.geo_transform().ok().map(GeoTransform);

@@ -43,6 +43,7 @@ pub mod mask;
 pub mod masked;
 pub mod memory;
 pub mod memory_plan;
+pub mod normal;
 mod open;
 pub mod output_folder;
 mod parts;
@@ -120,6 +121,7 @@ pub enum SampleType {
 }
 
 impl SampleType {
+    /// Bytes of a sample.
     pub fn bytes(self) -> usize {
         match self {
             SampleType::U8 => 1,
@@ -174,9 +176,11 @@ pub struct RasterInfo {
 }
 
 impl RasterInfo {
+    /// The whole raster.
     pub fn bounds(&self) -> Window {
         Window::whole(self.width, self.height)
     }
+    /// Number of pixels.
     pub fn pixels(&self) -> u64 {
         self.width * self.height
     }

@@ -19,6 +19,7 @@ pub struct Window {
 }
 
 impl Window {
+    /// `width` × `height` pixels from column `x` and row `y` on.
     pub const fn new(x: u64, y: u64, width: u64, height: u64) -> Self {
         Window { x, y, width, height }
     }
@@ -28,14 +29,17 @@ impl Window {
         Window { x: 0, y: 0, width, height }
     }
 
+    /// The first column beyond it.
     pub const fn right(&self) -> u64 {
         self.x + self.width
     }
 
+    /// The first row beyond it.
     pub const fn bottom(&self) -> u64 {
         self.y + self.height
     }
 
+    /// Whether no pixel lies in it.
     pub const fn is_empty(&self) -> bool {
         self.width == 0 || self.height == 0
     }
@@ -45,10 +49,12 @@ impl Window {
         self.width * self.height
     }
 
+    /// Whether the pixel in column `x` and row `y` lies in it.
     pub const fn contains(&self, x: u64, y: u64) -> bool {
         x >= self.x && x < self.right() && y >= self.y && y < self.bottom()
     }
 
+    /// Whether all pixels of `other` lie in it.
     pub const fn contains_window(&self, other: &Window) -> bool {
         other.x >= self.x && other.right() <= self.right() && other.y >= self.y && other.bottom() <= self.bottom()
     }
@@ -108,26 +114,32 @@ impl TileGrid {
         }
     }
 
+    /// The whole raster.
     pub fn bounds(&self) -> Window {
         self.bounds
     }
 
+    /// Width of a tile's core, but for the last column, pixels.
     pub fn tile_width(&self) -> u64 {
         self.tile_width
     }
 
+    /// Height of a tile's core, but for the last row, pixels.
     pub fn tile_height(&self) -> u64 {
         self.tile_height
     }
 
+    /// What is read beyond the core on every side, as far as the raster goes.
     pub fn halo_px(&self) -> u64 {
         self.halo_px
     }
 
+    /// Tiles from left to right.
     pub fn columns(&self) -> u64 {
         self.bounds.width.div_ceil(self.tile_width)
     }
 
+    /// Tiles from top to bottom.
     pub fn rows(&self) -> u64 {
         self.bounds.height.div_ceil(self.tile_height)
     }
@@ -137,6 +149,7 @@ impl TileGrid {
         self.columns() * self.rows()
     }
 
+    /// Whether there is no tile.
     pub fn is_empty(&self) -> bool {
         self.bounds.is_empty()
     }

@@ -3,6 +3,8 @@
 //! The page of `--report` recomputes the fit while the reviewer works, with the formulas of the solver in the same
 //! order of operations, so that a replay gives the numbers that the page showed. The patch is the audit trail: it holds
 //! what was done, in order, and nothing that could not be read by a person. This crate imports `autoref-raster` only.
+#![warn(missing_docs)]
+
 mod patch_file;
 
 pub use patch_file::{Action, Edit, PatchFile, SCHEMA, SCHEMA_VERSION, Shown, Subject, Target};

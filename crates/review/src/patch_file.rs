@@ -16,12 +16,16 @@ pub const SCHEMA_VERSION: u32 = 1;
 /// A patch file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PatchFile {
+    /// [`SCHEMA`].
     pub schema: String,
+    /// [`SCHEMA_VERSION`] of the program that wrote it.
     pub schema_version: u32,
+    /// What the edits are about.
     #[serde(rename = "for")]
     pub subject: Subject,
     /// Name (without folder) of the result file that the page was made from.
     pub source: String,
+    /// In the order in which they were made.
     pub edits: Vec<Edit>,
     /// What the page showed after the last edit; a replay is compared with it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -32,19 +36,24 @@ pub struct PatchFile {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Subject {
+    /// Marks of GCPs in a run's report.
     Gcps,
+    /// Fiducial marks in a roll's contact sheet.
     Fiducials,
 }
 
 /// One step of the reviewer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Edit {
+    /// Whose mark.
     #[serde(flatten)]
     pub target: Target,
+    /// What was done to it.
     pub action: Action,
     /// New centre, pixels; with [`Action::Move`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub x: Option<f64>,
+    /// Likewise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub y: Option<f64>,
     /// Index in the result's list of candidates; with [`Action::Pick`].
@@ -53,6 +62,7 @@ pub struct Edit {
     /// Where the mark was in the result that the page showed, pixels: a replay refuses a result where it is elsewhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub was: Option<[f64; 2]>,
+    /// What the reviewer wrote beside it.
     #[serde(default)]
     pub note: String,
 }
@@ -61,8 +71,18 @@ pub struct Edit {
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Target {
-    Gcp { gcp: String },
-    Fiducial { frame: String, mark: String },
+    /// The mark of a GCP, by the GCP's name.
+    Gcp {
+        /// As the list has it.
+        gcp: String,
+    },
+    /// A fiducial mark of a frame, by both names.
+    Fiducial {
+        /// As the result has it.
+        frame: String,
+        /// As the camera's file has it.
+        mark: String,
+    },
 }
 
 impl std::fmt::Display for Target {
@@ -74,6 +94,7 @@ impl std::fmt::Display for Target {
     }
 }
 
+/// What a reviewer may do to a mark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Action {
@@ -94,7 +115,9 @@ pub enum Action {
 pub struct Shown {
     /// Marks in the fit.
     pub points: usize,
+    /// Of the fit, metres; `None` without one.
     pub rmse_m: Option<f64>,
+    /// The fit's, as GDAL writes it; `None` without one.
     pub geotransform: Option<[f64; 6]>,
 }
 

@@ -13,7 +13,9 @@ use nalgebra::{Matrix3, Matrix4, SymmetricEigen, UnitQuaternion, Vector3};
 /// One point in both systems.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointPair {
+    /// In the system to be oriented, right-handed.
     pub model: Vector3<f64>,
+    /// In the system of the map.
     pub target: Vector3<f64>,
 }
 
@@ -37,9 +39,11 @@ pub enum Method {
 /// A solved orientation: target = scale · rotation · model + translation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AbsoluteOrientation {
+    /// From model axes to target axes.
     pub rotation: Matrix3<f64>,
     /// Target units per model unit.
     pub scale: f64,
+    /// Where the model's origin lies, target units.
     pub translation: Vector3<f64>,
     /// Target − computed, in the order of the pairs, target units.
     pub residuals: Vec<Vector3<f64>>,
@@ -48,6 +52,7 @@ pub struct AbsoluteOrientation {
 }
 
 impl AbsoluteOrientation {
+    /// Model → target, target units.
     pub fn apply(&self, model: Vector3<f64>) -> Vector3<f64> {
         self.scale * (self.rotation * model) + self.translation
     }

@@ -16,6 +16,7 @@ use autoref_raster::ranks::median;
 pub struct PairResult {
     /// Surveyed − computed, metres.
     pub residual_e_m: f64,
+    /// Likewise.
     pub residual_n_m: f64,
     /// Length of the residual in pixels.
     pub residual_px: f64,
@@ -23,6 +24,7 @@ pub struct PairResult {
     pub weight: f64,
     /// Surveyed − computed when this pair is left out of the fit, metres; `None` with two pairs.
     pub leave_one_out_e_m: Option<f64>,
+    /// Likewise.
     pub leave_one_out_n_m: Option<f64>,
     /// How much of an error in this pair its own residual shows: 0 nothing, 1 all.
     pub redundancy: f64,
@@ -35,13 +37,19 @@ pub struct PairResult {
 /// A solved similarity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Solution {
+    /// The transform, image → map.
     pub similarity: Similarity,
+    /// The same as GDAL writes it, about pixel corners.
     pub geotransform: GeoTransform,
+    /// Ground size of a pixel, metres.
     pub scale_m_per_px: f64,
+    /// Of the image's x axis, anticlockwise from east, degrees in (−180, 180].
     pub rotation_deg: f64,
     /// √(mean(dE² + dN²)) over all pairs of the fit, unweighted, metres.
     pub rmse_m: f64,
+    /// The part of it in easting, √(mean dE²).
     pub rmse_e_m: f64,
+    /// The part of it in northing, √(mean dN²).
     pub rmse_n_m: f64,
     /// `rmse_m` in pixels.
     pub rmse_px: f64,
@@ -52,7 +60,9 @@ pub struct Solution {
     pub covariance: [[f64; 4]; 4],
     /// The point the covariance's translation refers to: weighted centre of the marks, pixels.
     pub centre: PixelPoint,
+    /// In the order of the pairs of the fit.
     pub pairs: Vec<PairResult>,
+    /// Why the points may not support the fit, in plain words.
     pub warnings: Vec<String>,
 }
 

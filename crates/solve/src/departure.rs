@@ -10,9 +10,11 @@ type Number = Complex<f64>;
 /// What a fit leaves at a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Residual {
+    /// Where in the image.
     pub pixel: PixelPoint,
     /// Surveyed less fitted, or the other way round, the same for all.
     pub east_m: f64,
+    /// Likewise.
     pub north_m: f64,
 }
 
@@ -46,6 +48,7 @@ impl Shape {
 /// A transform that explains most of what the similarity leaves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Departure {
+    /// Of which kind.
     pub shape: Shape,
     /// RMS at points that were left out of it in turn, metres.
     pub left_m: f64,

@@ -17,7 +17,9 @@ use autoref_raster::coords::MapPoint;
 pub struct HeightPoint {
     /// Where the model was read: the mark's centre, brought to the map.
     pub position: MapPoint,
+    /// Height of the list.
     pub surveyed_m: f64,
+    /// Height of the elevation model.
     pub model_m: f64,
 }
 
@@ -34,6 +36,7 @@ pub enum HeightModel {
 }
 
 impl HeightModel {
+    /// Simplest first.
     pub const ALL: [HeightModel; 3] = [HeightModel::Shift, HeightModel::Tilt, HeightModel::Quadratic];
 
     /// Number of coefficients.
@@ -45,6 +48,7 @@ impl HeightModel {
         }
     }
 
+    /// As JSON and messages have it.
     pub fn label(self) -> &'static str {
         match self {
             HeightModel::Shift => "shift",
@@ -62,6 +66,7 @@ fn terms(u: f64, v: f64) -> [f64; 6] {
 /// One fitted surface.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HeightFit {
+    /// Which surface.
     pub model: HeightModel,
     /// Metres, for 1, u, v, u², u·v, v² (as many as the model has), with u and v as [`HeightCorrection`] defines them.
     pub coefficients_m: Vec<f64>,
@@ -80,14 +85,17 @@ pub struct HeightFit {
 pub struct HeightCorrection {
     /// u = (easting − centre) / unit_m, v = (northing − centre) / unit_m.
     pub centre_easting: f64,
+    /// Likewise.
     pub centre_northing: f64,
     /// Largest distance of a point from the centre, metres.
     pub unit_m: f64,
+    /// The surface that is added to the model.
     pub chosen: HeightModel,
     /// √(mean difference²) before any correction, divisor n.
     pub uncorrected_rms_m: f64,
     /// Every surface that the points determine, simplest first.
     pub fits: Vec<HeightFit>,
+    /// What speaks against the choice, in plain words.
     pub warnings: Vec<String>,
 }
 

@@ -23,6 +23,7 @@ const SETTLED: f64 = 1e-12;
 /// A settled adjustment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Adjustment {
+    /// The transform with its residuals.
     pub orientation: AbsoluteOrientation,
     /// Steps until nothing changed.
     pub iterations: usize,

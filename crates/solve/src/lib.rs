@@ -1,6 +1,7 @@
 //! From matches to a transform, with residuals: [`similarity`] in the plane and its [`adjustment`] (what a run uses),
 //! [`planar`] affine and projective on request, [`absolute`] and [`kraus`] in space, [`heights`] apart; whether the
-//! residuals show a stretched or bent image: [`departure`].
+//! residuals show a stretched or bent image: [`departure`]; whether they are normal, favour a direction or grow outwards:
+//! [`residual_analysis`].
 //!
 //! ```
 //! use autoref_raster::coords::{GeoTransform, PixelPoint};
@@ -14,7 +15,9 @@
 //! assert!(solution.rmse_m < 1e-6 && (solution.geotransform.0[1] - 0.03).abs() < 1e-9);
 //! ```
 //!
-//! This crate imports `autoref-raster` only, for coordinates.
+//! This crate imports `autoref-raster` only, for coordinates and distributions.
+#![warn(missing_docs)]
+
 pub mod absolute;
 pub mod accuracy;
 pub mod adjustment;
@@ -24,6 +27,7 @@ pub mod kraus;
 pub mod partial;
 pub mod planar;
 pub mod reliability;
+pub mod residual_analysis;
 pub mod similarity;
 pub mod variance_ratio;
 pub mod weights;

@@ -17,9 +17,11 @@ const UNKNOWNS: usize = 7;
 /// Which coordinates of the target are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Known {
+    /// All three.
     Full,
     /// Easting and northing.
     Plan,
+    /// Height alone.
     Height,
 }
 
@@ -36,7 +38,9 @@ impl Known {
 /// A point with what is known of it. Coordinates of the target that are not known are not looked at.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControlPoint {
+    /// The point in both systems.
     pub pair: PointPair,
+    /// Which of its target's coordinates count.
     pub known: Known,
     /// Relative to the other points; 1 for all counts them alike.
     pub weight: f64,
@@ -45,11 +49,15 @@ pub struct ControlPoint {
 /// A settled adjustment: target = scale · rotation · model + translation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PartialAdjustment {
+    /// From model axes to target axes.
     pub rotation: Matrix3<f64>,
+    /// Target units per model unit.
     pub scale: f64,
+    /// Where the model's origin lies, target units.
     pub translation: Vector3<f64>,
     /// Target − computed for each axis; `None` where the target is not known.
     pub residuals: Vec<[Option<f64>; 3]>,
+    /// Steps until nothing changed.
     pub iterations: usize,
     /// √(Σ weight · residual² / (observations − 7)); `None` without redundancy.
     pub sigma0: Option<f64>,

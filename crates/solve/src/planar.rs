@@ -59,6 +59,7 @@ pub enum Weighting {
 /// A fitted transform.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanarFit {
+    /// Which transform.
     pub kind: Kind,
     /// Of the pairs, of mean 1.
     pub weights: Vec<f64>,
@@ -72,6 +73,7 @@ pub struct PlanarFit {
     pub leave_one_out_m: Option<Vec<[f64; 2]>>,
     /// What each point says of itself, of an affine transform; `None` with three points and of a projective one.
     pub reliability: Option<Vec<Reliability>>,
+    /// Why the points may not support it, in plain words.
     pub warnings: Vec<String>,
     transform: Transform,
 }
@@ -183,8 +185,7 @@ fn reliability(
     }
     let (_, local) = normalise(pairs, weights)?;
     let rows: Vec<Vector3<f64>> = local.iter().map(|p| Vector3::new(p.u, p.v, 1.0)).collect();
-    let normal: Matrix3<f64> = rows.iter().zip(weights).map(|(row, weight)| *weight * row * row.transpose()).sum();
-    let inverse = normal.try_inverse()?;
+    let inverse = affine_cofactors(rows.iter().copied(), weights)?;
     let weighted: f64 = residuals_m.iter().zip(weights).map(|(r, w)| w * (r[0] * r[0] + r[1] * r[1])).sum();
     let noise = Noise {
         points: pairs.len(),
@@ -198,6 +199,13 @@ fn reliability(
         Reliability::of(&noise, weights[i], leverage, residuals_m[i].into())
     };
     Some((0..pairs.len()).map(of).collect())
+}
+
+/// The cofactors of the three parameters of one coordinate, the same for both: the inverse of N = Σ w·r·rᵀ over the rows
+/// r of the pairs, which hold 1 and the pixel's place, in any order. `None` for points near a line.
+pub(crate) fn affine_cofactors(rows: impl Iterator<Item = Vector3<f64>>, weights: &[f64]) -> Option<Matrix3<f64>> {
+    let normal: Matrix3<f64> = rows.zip(weights).map(|(row, weight)| *weight * row * row.transpose()).sum();
+    normal.try_inverse()
 }
 
 /// Weights from the residuals of `equal`, the fit in which every point counts alike.

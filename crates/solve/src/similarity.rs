@@ -15,10 +15,13 @@ use autoref_raster::coords::{GeoTransform, Handedness, MapPoint, PixelPoint};
 /// b, with −x for a mirrored image.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Similarity {
+    /// Scale · cos, metres per pixel; the angle counts anticlockwise from east.
     pub a_re: f64,
+    /// Scale · sin, likewise.
     pub a_im: f64,
     /// Map coordinates of the image's origin.
     pub easting_0: f64,
+    /// Likewise.
     pub northing_0: f64,
     /// The image shows the ground as a mirror does. Absent in JSON when it does not.
     #[serde(default, skip_serializing_if = "is_as_is")]
@@ -35,6 +38,7 @@ pub(crate) fn upright(x_px: f64, y_px: f64, mirrored: Handedness) -> (f64, f64) 
 }
 
 impl Similarity {
+    /// Image (pixels, y down) → map (metres).
     pub fn apply(&self, p: PixelPoint) -> MapPoint {
         let (x, y) = upright(p.x, p.y, self.mirrored);
         MapPoint {
@@ -61,6 +65,7 @@ impl Similarity {
         self.a_im.atan2(self.a_re).to_degrees()
     }
 
+    /// The same as GDAL writes it, about pixel corners.
     pub fn geotransform(&self) -> GeoTransform {
         let sign = self.mirrored.sign();
         GeoTransform([self.easting_0, sign * self.a_re, self.a_im, self.northing_0, sign * self.a_im, -self.a_re])
@@ -112,9 +117,11 @@ fn anchored(a_re: f64, a_im: f64, mirrored: Handedness, p: PixelPoint, m: MapPoi
 /// A mark and the surveyed point it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
+    /// The mark's centre.
     pub pixel: PixelPoint,
     /// Covariance of the centre, px²: xx, xy, yy.
     pub covariance_px2: Option<[f64; 3]>,
+    /// The surveyed point, metres.
     pub map: MapPoint,
     /// 1σ of the survey in each of easting and northing, metres.
     pub survey_sigma_m: Option<f64>,

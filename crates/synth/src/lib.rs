@@ -16,7 +16,6 @@
 //! ```
 //!
 //! This crate imports `autoref-raster` only.
-mod blur;
 mod gcps;
 mod jpeg;
 mod landscape;
@@ -26,6 +25,7 @@ mod paint;
 mod photo;
 mod plan;
 pub mod plant;
+mod quadrature;
 pub mod rng;
 mod scene;
 mod shape;

@@ -1,11 +1,11 @@
 //! A mark with every choice made, and how it changes a pixel.
 
-use super::blur::normal_cdf;
 use super::paint::Paint;
 use super::rng::{Rng, mix, value_noise};
 use super::shape::{Figure, Shape};
 use super::spec::{MarkStyle, MarkTurn};
 use super::truth::Shadow;
+use autoref_raster::normal;
 
 /// What hides part of a mark: everything on one side of a line.
 #[derive(Clone, Copy, Debug)]
@@ -104,7 +104,7 @@ impl Mark {
         let (mut all, mut second) = self.figure.coverage(dx, dy);
         if let Some(c) = &self.cover {
             let along = dx * c.normal.0 + dy * c.normal.1;
-            let shown = normal_cdf((c.distance - along) / self.blur_px);
+            let shown = normal::below((c.distance - along) / self.blur_px);
             (all, second) = (all * shown, second * shown);
         }
         let opaque = 1.0 - self.fading;
@@ -166,7 +166,7 @@ impl ShadowPatch {
         let (dx, dy) = (x - self.centre.0, y - self.centre.1);
         let u = dx * self.axis.0 + dy * self.axis.1;
         let v = dy * self.axis.0 - dx * self.axis.1;
-        let side = |t: f64, half: f64| normal_cdf((half - t) / sigma) - normal_cdf((-half - t) / sigma);
+        let side = |t: f64, half: f64| normal::below((half - t) / sigma) - normal::below((-half - t) / sigma);
         (side(u, self.half.0) * side(v, self.half.1)) as f32
     }
 }

@@ -56,10 +56,12 @@ impl PhotoStore {
         Ok(store)
     }
 
+    /// Number of photographs.
     pub fn len(&self) -> usize {
         self.photos.len()
     }
 
+    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.photos.is_empty()
     }

@@ -114,6 +114,7 @@ pub struct Cell {
 }
 
 impl Cell {
+    /// The mark from which others differ in one thing at a time.
     pub fn base() -> Cell {
         Cell {
             label: "base".into(),

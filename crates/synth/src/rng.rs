@@ -2,6 +2,7 @@
 //! count and every cut into windows.
 
 use autoref_raster::bilinear::by_differences;
+use autoref_raster::normal;
 use autoref_raster::random::SplitMix64;
 pub use autoref_raster::random::mix;
 
@@ -32,6 +33,7 @@ impl Rng {
         Rng(SplitMix64(state))
     }
 
+    /// The next 64 bits.
     pub fn next_u64(&mut self) -> u64 {
         self.0.next_u64()
     }
@@ -41,6 +43,7 @@ impl Rng {
         self.0.unit()
     }
 
+    /// Uniform in [low, high).
     pub fn range(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
@@ -50,6 +53,7 @@ impl Rng {
         ((self.unit() * n as f64) as usize).min(n.saturating_sub(1))
     }
 
+    /// True in a share, 0 to 1, of all calls.
     pub fn chance(&mut self, share: f64) -> bool {
         self.unit() < share
     }
@@ -59,6 +63,7 @@ impl Rng {
         self.0.normal()
     }
 
+    /// Puts the items in an order in which each is as likely as any other.
     pub fn shuffle<T>(&mut self, items: &mut [T]) {
         for i in (1..items.len()).rev() {
             items.swap(i, self.below(i + 1));
@@ -75,6 +80,7 @@ pub struct NoiseTable {
 }
 
 impl NoiseTable {
+    /// Noise with the standard deviation `sigma`, 8-bit levels.
     pub fn new(seed: u64, sigma: f64) -> Self {
         let n = 4096;
         let mut values: Vec<i32> = Vec::with_capacity(n);
@@ -84,7 +90,7 @@ impl NoiseTable {
             let (mut low, mut high) = (-6.0, 6.0);
             for _ in 0..50 {
                 let mid = 0.5 * (low + high);
-                if super::blur::normal_cdf(mid) < p { low = mid } else { high = mid }
+                if normal::below(mid) < p { low = mid } else { high = mid }
             }
             values.push((0.5 * (low + high) * sigma * 256.0).round() as i32);
         }

@@ -216,14 +216,17 @@ impl Scene {
         }
     }
 
+    /// Width of the picture, pixels.
     pub fn width(&self) -> u64 {
         self.width
     }
 
+    /// Height of the picture, pixels.
     pub fn height(&self) -> u64 {
         self.height
     }
 
+    /// What was drawn where.
     pub fn truth(&self) -> &Truth {
         &self.truth
     }

@@ -9,8 +9,9 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
-use super::blur::{GAUSS, erf};
+use super::quadrature::GAUSS;
 use super::triangles::Triangles;
+use autoref_raster::normal::erf;
 use serde::{Deserialize, Serialize};
 
 /// What a mark looks like from above. "Size" is the side of the bounding square in the mark's own frame, or the

@@ -19,6 +19,7 @@ pub enum MarkSize {
 }
 
 impl MarkSize {
+    /// In pixels of `gsd_m` metres on the ground.
     pub fn px(self, gsd_m: f64) -> f64 {
         match self {
             MarkSize::Px(px) => px,
@@ -164,6 +165,7 @@ pub enum FileLayout {
     Strips(u64),
 }
 
+/// How file blocks are compressed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Compression {
@@ -177,6 +179,7 @@ pub enum Compression {
     Jpeg(u8),
 }
 
+/// How the bands of a pixel are stored: together, or a plane each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Interleave {
@@ -185,6 +188,7 @@ pub enum Interleave {
     Band,
 }
 
+/// Whether offsets have 64 bits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BigTiff {

@@ -2,7 +2,8 @@
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
-use super::blur::{GAUSS, erf};
+use super::quadrature::GAUSS;
+use autoref_raster::normal::erf;
 
 /// Further away than so many σ the blur carries nothing: erf is 1 within 7e-6 there.
 const REACH: f64 = 4.5;

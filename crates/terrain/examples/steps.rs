@@ -2,7 +2,7 @@
 //! `steps STEP WIDTH HEIGHT IN OUT [ARGUMENT]`. `tests/peers.py` calls it.
 
 use autoref_terrain::area::flip_small;
-use autoref_terrain::bits::BitMask;
+use autoref_terrain::bits::{Bit, BitMask};
 use autoref_terrain::clean::{Cleaning, clean};
 use autoref_terrain::entropy::{RADIUS_PX, entropy};
 use autoref_terrain::knn::{Neighbours, Sample};
@@ -50,7 +50,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "clean" => bytes(clean(mask(), &Cleaning::default())),
         "holes" | "objects" => {
             let mut mask = mask();
-            flip_small(&mut mask, step == "objects", number()?);
+            let bit = if step == "objects" { Bit::Set } else { Bit::Clear };
+            flip_small(&mut mask, bit, number()?);
             bytes(mask)
         }
         other => return Err(format!("no step is called {other}").into()),

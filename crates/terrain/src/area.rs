@@ -3,7 +3,7 @@
 //! The mask is read as runs, row by row; runs that touch along a side are united (4-neighbours). This is
 //! `scipy.ndimage.label` with its default structure, and `skimage.morphology.remove_small_objects(…, connectivity=1)`.
 
-use crate::bits::BitMask;
+use crate::bits::{Bit, BitMask};
 use autoref_raster::sets::Sets;
 
 /// Pixels `start..end` of a row.
@@ -15,6 +15,7 @@ pub(crate) struct Run {
 }
 
 impl Run {
+    /// Number of pixels.
     pub fn pixels(&self) -> u64 {
         u64::from(self.end - self.start)
     }
@@ -30,14 +31,14 @@ pub struct Areas {
 }
 
 impl Areas {
-    /// The connected areas of the pixels that have `value`.
-    pub fn of(mask: &BitMask, value: bool) -> Areas {
+    /// The connected areas of the pixels that are set, or clear.
+    pub fn of(mask: &BitMask, bit: Bit) -> Areas {
         let mut runs: Vec<Run> = Vec::new();
         let mut sets = Sets::default();
         let mut above = 0..0;
         for y in 0..mask.height() {
             let first = runs.len();
-            mask.runs(y, value, |start, end| {
+            mask.runs(y, bit, |start, end| {
                 sets.add();
                 runs.push(Run { row: y as u32, start: start as u32, end: end as u32 });
             });
@@ -67,6 +68,7 @@ impl Areas {
         self.root.iter().enumerate().filter(|(i, root)| *i as u32 == **root).count()
     }
 
+    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.runs.is_empty()
     }
@@ -81,11 +83,11 @@ impl Areas {
     }
 }
 
-/// Turns over the areas of pixels with `value` that hold less than `share` of the image.
-pub fn flip_small(mask: &mut BitMask, value: bool, share: f64) {
+/// Turns over the areas of pixels set, or clear, that hold less than `share` of the image.
+pub fn flip_small(mask: &mut BitMask, bit: Bit, share: f64) {
     let least = share * (mask.width() * mask.height()) as f64;
-    let areas = Areas::of(mask, value);
-    areas.smaller_than(least, |y, start, end| mask.fill_run(y, start, end, !value));
+    let areas = Areas::of(mask, bit);
+    areas.smaller_than(least, |y, start, end| mask.fill_run(y, start, end, !bit));
 }
 
 #[cfg(test)]
@@ -134,9 +136,9 @@ mod tests {
         ) {
             let mut state = seed | 1;
             let mask = BitMask::from_fn(width, height, |_, _| xorshift(&mut state) % 16 < share);
-            for value in [true, false] {
+            for (bit, value) in [(Bit::Set, true), (Bit::Clear, false)] {
                 let mut ours = mask.clone();
-                flip_small(&mut ours, value, part);
+                flip_small(&mut ours, bit, part);
                 prop_assert_eq!(ours, by_definition(&mask, value, part * (width * height) as f64));
             }
         }

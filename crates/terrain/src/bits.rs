@@ -1,5 +1,24 @@
 //! One bit a pixel: the masks that the cleaning works on.
 
+/// What a pixel of a mask is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bit {
+    /// In most masks: keep.
+    Set,
+    Clear,
+}
+
+impl std::ops::Not for Bit {
+    type Output = Bit;
+
+    fn not(self) -> Bit {
+        match self {
+            Bit::Set => Bit::Clear,
+            Bit::Clear => Bit::Set,
+        }
+    }
+}
+
 /// A mask of `width` × `height` pixels, row-major, each row in whole words of 64 pixels; true = keep.
 ///
 /// Bits beyond the width are always clear.
@@ -31,10 +50,12 @@ impl BitMask {
         mask
     }
 
+    /// Width, pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
+    /// Height, pixels.
     pub fn height(&self) -> usize {
         self.height
     }
@@ -44,11 +65,13 @@ impl BitMask {
         width.div_ceil(64) * 8 * height
     }
 
+    /// Whether the pixel in column `x` and row `y` is set.
     pub fn get(&self, x: usize, y: usize) -> bool {
         debug_assert!(x < self.width && y < self.height);
         self.words[y * self.row_words + x / 64] >> (x % 64) & 1 == 1
     }
 
+    /// Sets the pixel in column `x` and row `y`, or clears it.
     pub fn set(&mut self, x: usize, y: usize, value: bool) {
         debug_assert!(x < self.width && y < self.height);
         let word = &mut self.words[y * self.row_words + x / 64];
@@ -60,6 +83,7 @@ impl BitMask {
         &self.words[y * self.row_words..(y + 1) * self.row_words]
     }
 
+    /// The same, to be changed; bits beyond the width must stay clear.
     pub fn row_mut(&mut self, y: usize) -> &mut [u64] {
         &mut self.words[y * self.row_words..(y + 1) * self.row_words]
     }
@@ -98,39 +122,45 @@ impl BitMask {
         self.words.iter_mut().zip(&other.words).for_each(|(a, b)| *a &= b);
     }
 
-    /// Sets the pixels `start..end` of row `y`.
-    pub fn fill_run(&mut self, y: usize, start: usize, end: usize, value: bool) {
+    /// Makes the pixels `start..end` of row `y` set or clear.
+    pub fn fill_run(&mut self, y: usize, start: usize, end: usize, bit: Bit) {
         debug_assert!(end <= self.width && y < self.height);
         let row = self.row_mut(y);
         let mut x = start;
         while x < end {
-            let (word, bit) = (x / 64, x % 64);
-            let count = (64 - bit).min(end - x);
-            let bits = if count == 64 { !0 } else { ((1u64 << count) - 1) << bit };
-            row[word] = if value { row[word] | bits } else { row[word] & !bits };
+            let (word, first) = (x / 64, x % 64);
+            let count = (64 - first).min(end - x);
+            let bits = if count == 64 { !0 } else { ((1u64 << count) - 1) << first };
+            row[word] = match bit {
+                Bit::Set => row[word] | bits,
+                Bit::Clear => row[word] & !bits,
+            };
             x += count;
         }
     }
 
-    /// Calls `run(start, end)` for every run of pixels of row `y` that have `value`.
-    pub fn runs(&self, y: usize, value: bool, mut run: impl FnMut(usize, usize)) {
+    /// Calls `run(start, end)` for every run of pixels of row `y` that are set, or clear.
+    pub fn runs(&self, y: usize, bit: Bit, mut run: impl FnMut(usize, usize)) {
         let row = self.row(y);
         let mut x = 0;
         while x < self.width {
-            let start = next(row, x, self.width, value);
+            let start = next(row, x, self.width, bit);
             if start >= self.width {
                 return;
             }
-            let end = next(row, start, self.width, !value);
+            let end = next(row, start, self.width, !bit);
             run(start, end);
             x = end;
         }
     }
 }
 
-/// The first pixel from `from` on that has `value`, or `width`.
-fn next(row: &[u64], from: usize, width: usize, value: bool) -> usize {
-    let flip = if value { 0 } else { !0 };
+/// The first pixel from `from` on that is set, or clear, or `width`.
+fn next(row: &[u64], from: usize, width: usize, bit: Bit) -> usize {
+    let flip = match bit {
+        Bit::Set => 0,
+        Bit::Clear => !0,
+    };
     let mut word = from / 64;
     let mut bits = (row[word] ^ flip) & (!0u64 << (from % 64));
     loop {
@@ -159,15 +189,15 @@ mod tests {
         for width in [1, 63, 64, 65, 130] {
             let keep = |x: usize, y: usize| (x * 7 + y * 13) % 11 < 5 || (70..129).contains(&x);
             let mut mask = BitMask::from_fn(width, 3, keep);
-            for value in [true, false] {
+            for (bit, value) in [(Bit::Set, true), (Bit::Clear, false)] {
                 let mut seen = vec![!value; width];
-                mask.runs(1, value, |a, b| seen[a..b].iter_mut().for_each(|s| *s = value));
+                mask.runs(1, bit, |a, b| seen[a..b].iter_mut().for_each(|s| *s = value));
                 assert!((0..width).all(|x| seen[x] == keep(x, 1)));
             }
             let set = mask.count();
             mask.invert();
             assert_eq!(set + mask.count(), width as u64 * 3);
-            mask.fill_run(2, 0, width, true);
+            mask.fill_run(2, 0, width, Bit::Set);
             assert!((0..width).all(|x| mask.get(x, 2)) && mask.get(0, 0) != keep(0, 0));
         }
     }

@@ -8,7 +8,7 @@ use autoref_raster::protected::same_file;
 use gdal::Dataset;
 use gdal::raster::ResampleAlg;
 
-use crate::bits::BitMask;
+use crate::bits::{Bit, BitMask};
 use crate::classify::Classes;
 use crate::fill::Fill;
 use crate::given::Given;
@@ -197,7 +197,7 @@ impl FullRows<'_> {
         assert_eq!(width, self.mask.size[0], "a row of the frame");
         line.fill(0);
         let pixels = |start: usize, end: usize| start * factor..(end * factor).min(width);
-        cells.runs(y / factor, true, |start, end| line[pixels(start, end)].fill(1));
+        cells.runs(y / factor, Bit::Set, |start, end| line[pixels(start, end)].fill(1));
         for layer in &mut self.open {
             match layer {
                 Open::Shapes(fills) => {
@@ -221,7 +221,7 @@ impl FullRows<'_> {
                 }
             }
         }
-        valid.runs(y / factor, false, |start, end| line[pixels(start, end)].fill(0));
+        valid.runs(y / factor, Bit::Clear, |start, end| line[pixels(start, end)].fill(0));
         Ok(())
     }
 }

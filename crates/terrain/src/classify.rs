@@ -5,7 +5,7 @@ use autoref_raster::window::{TileGrid, Window};
 use rayon::prelude::*;
 
 use crate::area::flip_small;
-use crate::bits::BitMask;
+use crate::bits::{Bit, BitMask};
 use crate::clean::{Cleaning, clean};
 use crate::entropy::{RADIUS_PX, entropy};
 use crate::features::{FEATURES, FrameScale, Measured};
@@ -180,8 +180,8 @@ fn cleaned(keep: BitMask, cleaner: &Cleaner, reduced: &Reduced, votes: Option<&V
                 mask_clouds(&mut keep);
                 mask_mirrored(&mut keep, &reduced.grey, &reduced.valid)?;
             }
-            flip_small(&mut keep, false, *share);
-            flip_small(&mut keep, true, *share);
+            flip_small(&mut keep, Bit::Clear, *share);
+            flip_small(&mut keep, Bit::Set, *share);
             keep
         }
     };

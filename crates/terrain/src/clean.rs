@@ -1,7 +1,7 @@
 //! Cleaning a mask of pixels that were classified one by one.
 
 use crate::area::flip_small;
-use crate::bits::BitMask;
+use crate::bits::{Bit, BitMask};
 use crate::morphology::{Kernel, close, dilate, erode};
 
 /// Sizes of the thesis's cleaning, at the reduced scale.
@@ -31,10 +31,10 @@ pub fn clean(mut mask: BitMask, options: &Cleaning) -> BitMask {
     }
     let disc = Kernel::ellipse(options.disc);
     mask = dilate(&mask, &disc);
-    flip_small(&mut mask, false, options.least_area_share);
+    flip_small(&mut mask, Bit::Clear, options.least_area_share);
     for _ in 0..options.erosions {
         mask = erode(mask, &disc);
     }
-    flip_small(&mut mask, true, options.least_area_share);
+    flip_small(&mut mask, Bit::Set, options.least_area_share);
     dilate(&mask, &disc)
 }

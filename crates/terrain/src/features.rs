@@ -246,6 +246,7 @@ impl Tally {
         }
     }
 
+    /// Number of pixels that were counted.
     pub fn pixels(&self) -> u64 {
         self.histograms[0].iter().sum()
     }

@@ -11,7 +11,7 @@ use autoref_raster::error::Result;
 use autoref_raster::window::Window;
 
 use crate::area::Areas;
-use crate::bits::BitMask;
+use crate::bits::{Bit, BitMask};
 use crate::plane::Plane;
 
 /// The greatest mean vote, of 255, of an area that stays masked: 82 where its mean Laplacian and gradient are equal,
@@ -92,7 +92,7 @@ impl Sums {
 /// # Errors
 /// When a plane cannot be read.
 pub fn keep_doubtful(mask: &mut BitMask, evidence: &Evidence<'_>, valid: &BitMask) -> Result<()> {
-    let areas = Areas::of(mask, false);
+    let areas = Areas::of(mask, Bit::Clear);
     let mut sums = vec![Sums::default(); areas.runs.len()];
     let (mut vote, mut fine, mut shipped) = (Vec::new(), Vec::new(), None);
     let mut row = None;
@@ -128,7 +128,7 @@ pub fn keep_doubtful(mask: &mut BitMask, evidence: &Evidence<'_>, valid: &BitMas
             None => sum.mean(sum.votes) <= sum.limit(width),
         };
         if !stays {
-            mask.fill_run(run.row as usize, run.start as usize, run.end as usize, true);
+            mask.fill_run(run.row as usize, run.start as usize, run.end as usize, Bit::Set);
         }
     }
     Ok(())
@@ -179,7 +179,7 @@ fn surroundings(kept: &Areas, masked: &Areas) -> Vec<Around> {
 /// Masks clouds: kept areas that a sky and the frame's border enclose. A sky is a masked area along the upper border
 /// that does not reach the lower one.
 pub fn mask_clouds(mask: &mut BitMask) {
-    let (masked, kept) = (Areas::of(mask, false), Areas::of(mask, true));
+    let (masked, kept) = (Areas::of(mask, Bit::Clear), Areas::of(mask, Bit::Set));
     let (width, last) = (mask.width() as f64, mask.height() as u32 - 1);
     let mut along = vec![0u64; masked.runs.len()];
     let mut reaches_down = vec![false; masked.runs.len()];
@@ -215,7 +215,7 @@ pub fn mask_clouds(mask: &mut BitMask) {
     }
     for (run, &root) in kept.runs.iter().zip(&kept.root) {
         if sky_of(root).is_some_and(|sky| with_clouds[sky as usize] as f64 >= SKY_AND_CLOUDS * width) {
-            mask.fill_run(run.row as usize, run.start as usize, run.end as usize, false);
+            mask.fill_run(run.row as usize, run.start as usize, run.end as usize, Bit::Clear);
         }
     }
 }
@@ -245,7 +245,7 @@ pub fn kept_though_even(keep: &BitMask, votes: &Plane, valid: &BitMask) -> Resul
         let line = votes.read(&Window::new(0, row(y) as u64, votes.width() as u64, 1))?;
         (0..columns).for_each(|x| even.set(x, y, line[column(x)] <= EVEN && valid.get(column(x), row(y))));
     }
-    let areas = Areas::of(&even, true);
+    let areas = Areas::of(&even, Bit::Set);
     let mut along = vec![0u64; areas.runs.len()];
     let mut kept = vec![0u64; areas.runs.len()];
     for (run, &root) in areas.runs.iter().zip(&areas.root) {

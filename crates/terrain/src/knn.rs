@@ -119,6 +119,7 @@ impl Neighbours {
         self.samples.iter().map(far).fold(f64::INFINITY, f64::min).sqrt()
     }
 
+    /// The samples that vote.
     pub fn samples(&self) -> &[Sample] {
         &self.samples
     }

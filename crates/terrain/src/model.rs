@@ -75,6 +75,7 @@ pub struct Labels {
 }
 
 impl Labels {
+    /// Nothing is said yet of any pixel of the reduced frame.
     pub fn new(reduced: &Reduced) -> Labels {
         let (width, height) = (reduced.grey.width(), reduced.grey.height());
         Labels { width, height, values: vec![SAYS_NOTHING; width * height] }

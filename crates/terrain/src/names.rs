@@ -21,6 +21,7 @@ pub struct Names {
 }
 
 impl Names {
+    /// The files of a frame in the folder of outputs.
     pub fn of(frame: &Path, folder: &Path) -> Names {
         let stem = frame.file_stem().unwrap_or(frame.as_os_str()).to_string_lossy();
         let name = frame.file_name().unwrap_or(frame.as_os_str()).to_string_lossy();

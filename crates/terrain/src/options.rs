@@ -60,6 +60,7 @@ pub struct Options {
 }
 
 impl Method {
+    /// As the command line has it.
     pub fn name(self) -> &'static str {
         match self {
             Method::Thesis2017 => "thesis-2017",

@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 use std::fmt::Write;
 
-use crate::bits::BitMask;
+use crate::bits::{Bit, BitMask};
 
 /// Corners of a ring, in pixels of the mask.
 type Ring = Vec<[i32; 2]>;
@@ -99,7 +99,7 @@ pub fn polygons(mask: &BitMask, size: [usize; 2], factor: usize, frame: &str) ->
     let (mut outer, mut holes): (Vec<(Ring, Vec<Ring>)>, Vec<Ring>) = (Vec::new(), Vec::new());
     for y in 0..mask.height() {
         let mut starts = Vec::new();
-        mask.runs(y, true, |from, to| starts.extend(from..to));
+        mask.runs(y, Bit::Set, |from, to| starts.extend(from..to));
         for x in starts {
             if (y == 0 || !mask.get(x, y - 1)) && !seen.get(x, y) {
                 for ring in cut(trace(mask, [x as i32, y as i32], &mut seen)) {

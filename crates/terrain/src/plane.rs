@@ -36,10 +36,12 @@ impl Plane {
         Ok(Plane { width, height, store })
     }
 
+    /// Width, pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
+    /// Height, pixels.
     pub fn height(&self) -> usize {
         self.height
     }

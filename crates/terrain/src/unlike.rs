@@ -22,6 +22,7 @@ const LOOKED_AT: f64 = 1000.0;
 pub struct Known(Vec<[u8; FEATURES]>);
 
 impl Known {
+    /// The features of all examples.
     pub fn new(examples: &[Example<FEATURES>]) -> Known {
         Known(examples.iter().map(|example| example.features).collect())
     }
@@ -42,6 +43,7 @@ impl Known {
 pub struct Lattice(u64);
 
 impl Lattice {
+    /// Of a frame of `width` × `height` pixels.
     pub fn of(width: usize, height: usize) -> Lattice {
         Lattice((((width * height) as f64 / LOOKED_AT).sqrt() as u64).max(1))
     }

@@ -51,32 +51,44 @@ fn holds(format: ListFormat) -> Holds {
 pub(super) fn of(survey: &Survey, format: ListFormat) -> Vec<String> {
     let holds = holds(format);
     let mut lost = Vec::new();
-    let mut say = |kept: bool, what: &str, has: &dyn Fn(&RawPoint) -> bool| {
+    let mut say = |what: &str, has: &dyn Fn(&RawPoint) -> bool| {
         let points = survey.points.iter().filter(|p| has(p)).count();
-        if !kept && points > 0 {
+        if points > 0 {
             lost.push(format!("{what} of {}", counted(points, "point", "points")));
         }
     };
-    say(holds.height, "height", &|p| p.gcp.height.is_some());
-    say(holds.sigma && all_or_none(survey, format), "sigma_m", &|p| p.gcp.sigma_m.is_some());
-    say(holds.sigma_height && all_or_none(survey, format), "sigma_height_m", &|p| p.gcp.sigma_height_m.is_some());
+    if !holds.height {
+        say("height", &|p| p.gcp.height.is_some());
+    }
+    if !(holds.sigma && all_or_none(survey, format)) {
+        say("sigma_m", &|p| p.gcp.sigma_m.is_some());
+    }
+    if !(holds.sigma_height && all_or_none(survey, format)) {
+        say("sigma_height_m", &|p| p.gcp.sigma_height_m.is_some());
+    }
     let large = |sigma: Option<f64>| sigma.is_some_and(|s| s >= 1.0);
     if format == ListFormat::MicMac {
-        say(false, "sigma_m of 1 m or more", &|p| large(p.gcp.sigma_m));
-        say(false, "sigma_height_m of 1 m or more", &|p| large(p.gcp.sigma_height_m));
+        say("sigma_m of 1 m or more", &|p| large(p.gcp.sigma_m));
+        say("sigma_height_m of 1 m or more", &|p| large(p.gcp.sigma_height_m));
     }
-    say(holds.role, "role (check point)", &|p| p.gcp.role == GcpRole::Check);
-    say(holds.pixels > 0, "pixels", &|p| !p.pixels.is_empty());
+    if !holds.role {
+        say("role (check point)", &|p| p.gcp.role == GcpRole::Check);
+    }
+    if holds.pixels == 0 {
+        say("pixels", &|p| !p.pixels.is_empty());
+    }
     if format == ListFormat::Odm && survey.points.iter().any(|p| !p.pixels.is_empty()) {
-        say(false, "the points without pixels:", &|p| p.pixels.is_empty());
+        say("the points without pixels:", &|p| p.pixels.is_empty());
     }
     if format == ListFormat::MetashapeXml {
-        say(false, "pixels in images without a name", &|p| p.pixels.iter().any(|s| s.image.is_none()));
+        say("pixels in images without a name", &|p| p.pixels.iter().any(|s| s.image.is_none()));
     }
     if holds.pixels == 1 {
-        say(false, "pixels in further images", &|p| p.pixels.len() > 1);
+        say("pixels in further images", &|p| p.pixels.len() > 1);
     }
-    say(holds.image_name || holds.pixels == 0, "image name", &|p| p.pixels.iter().any(|s| s.image.is_some()));
+    if !holds.image_name && holds.pixels > 0 {
+        say("image name", &|p| p.pixels.iter().any(|s| s.image.is_some()));
+    }
     if let Some(crs) = &survey.crs {
         if !holds.crs {
             lost.push(format!("crs {}", crs.title()));

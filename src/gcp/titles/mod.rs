@@ -56,19 +56,27 @@ pub(super) fn find(titles: &[String], names: &[&str]) -> Option<usize> {
 /// The column of the heights: under one of their words, else under one with what they count from ("Höhe ü. NHN",
 /// "NAVD88"), else above the ellipsoid.
 pub(super) fn find_height(titles: &[String]) -> Option<usize> {
-    let among = |may_be_ellipsoidal: bool| titles.iter().position(|title| is_height(title, may_be_ellipsoidal));
-    find(titles, HEIGHTS).or_else(|| among(false)).or_else(|| among(true))
+    let among = |above: Above| titles.iter().position(|title| is_height(title, above));
+    find(titles, HEIGHTS).or_else(|| among(Above::Sea)).or_else(|| among(Above::SeaOrEllipsoid))
 }
 
 /// Whether a title is that of heights above the sea, or of no certain kind.
 pub(super) fn is_level_height(title: &str) -> bool {
     let is_ellipsoidal = title.split(' ').any(|word| word.starts_with("ell") || ELLIPSOIDAL.contains(&word));
-    !is_ellipsoidal && (HEIGHTS.contains(&title) || is_height(title, false))
+    !is_ellipsoidal && (HEIGHTS.contains(&title) || is_height(title, Above::Sea))
+}
+
+/// What heights count from.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Above {
+    Sea,
+    SeaOrEllipsoid,
 }
 
 /// Whether a title has a word for heights, or for what they count from, and nothing else that would make it another
 /// thing, as an antenna does.
-fn is_height(title: &str, may_be_ellipsoidal: bool) -> bool {
+fn is_height(title: &str, above: Above) -> bool {
+    let may_be_ellipsoidal = above == Above::SeaOrEllipsoid;
     let joined = title.replace(' ', "");
     let is_level = |word: &str| LEVELS.contains(&word) || (may_be_ellipsoidal && ELLIPSOIDAL.contains(&word));
     if is_level(title) || is_level(&joined) {

@@ -161,10 +161,12 @@ impl Appender {
         Appender { order, shape, start, bytes: Vec::new() }
     }
 
+    /// Where the next byte goes, from the start of the file.
     pub fn position(&self) -> u64 {
         self.start + self.bytes.len() as u64
     }
 
+    /// Fills up with zeros to a multiple of eight bytes.
     pub fn align(&mut self) {
         while !self.position().is_multiple_of(8) {
             self.bytes.push(0);

@@ -50,6 +50,7 @@ impl Resampling {
         Resampling::Mode,
     ];
 
+    /// As the command line has it.
     pub fn name(self) -> &'static str {
         match self {
             Resampling::Near => "near",
@@ -107,6 +108,7 @@ impl Compression {
         Compression::Webp,
     ];
 
+    /// As the command line has it.
     pub fn name(self) -> &'static str {
         match self {
             Compression::None => "none",

@@ -32,6 +32,7 @@ pub struct Source {
     pub alpha: Option<usize>,
 }
 
+/// What a virtual raster says of a band.
 #[derive(Clone, Debug)]
 pub struct Band {
     pub kind: GdalDataType,

@@ -69,6 +69,7 @@ impl Bounds {
         (least <= most).then_some((least, most))
     }
 
+    /// Whether a colour lies within all bounds.
     pub fn passes(&self, colour: [u8; 3]) -> bool {
         (0..3).all(|i| {
             let fall = colour[i].saturating_sub(colour[(i + 1) % 3]);

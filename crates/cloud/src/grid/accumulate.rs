@@ -55,6 +55,7 @@ impl Strip {
         4 + stats.iter().map(each).sum::<u64>()
     }
 
+    /// The given rows of a frame, without points; for medians it keeps `most_values` heights at most.
     pub fn new(frame: Frame, rows: Range<usize>, options: &Options, most_values: usize) -> Strip {
         let cells = rows.len() * frame.columns;
         let stats = &options.stats;

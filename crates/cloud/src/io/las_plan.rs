@@ -49,6 +49,7 @@ pub(super) enum Fractions {
 }
 
 impl Place {
+    /// An unsigned number of whole bytes at byte `byte` of the record.
     pub const fn word(byte: usize, bytes: usize) -> Place {
         Place { byte, bytes, right: 0, bits: 8 * bytes as u32, signed: false, unit: 1.0, fractions: Fractions::Refused }
     }
@@ -57,6 +58,7 @@ impl Place {
         Place { byte, bytes: 1, right, bits, signed: false, unit: 1.0, fractions: Fractions::Refused }
     }
 
+    /// How many bits its numbers have, and whether one is the sign.
     pub fn numbers(&self) -> Bits {
         if self.signed { Bits::Signed(self.bits) } else { Bits::Unsigned(self.bits) }
     }

@@ -39,6 +39,7 @@ pub enum Format {
 }
 
 impl Format {
+    /// As messages have it.
     pub fn name(self) -> &'static str {
         match self {
             Format::Las => "LAS",

@@ -190,6 +190,48 @@ fn read_comment(words: &[&str], parsed: &mut Parsed) {
     }
 }
 
+/// The properties of a vertex that are single numbers.
+struct Scalars {
+    schema: Schema,
+    /// Which of them are x, y and z.
+    axes: [usize; 3],
+    /// Of these.
+    precision: Precision,
+    /// There is no list beside them.
+    are_all: bool,
+}
+
+impl Scalars {
+    /// # Errors
+    /// When a coordinate is missing.
+    fn of(path: &Path, vertex: &Element) -> Result<Self> {
+        let scalars: Vec<(&String, Kind)> = vertex
+            .properties
+            .iter()
+            .filter_map(|property| match property {
+                Property::Scalar(name, kind) => Some((name, *kind)),
+                Property::List(..) => None,
+            })
+            .collect();
+        let mut axes = [0; 3];
+        for (axis, place) in ["x", "y", "z"].into_iter().zip(&mut axes) {
+            *place = scalars
+                .iter()
+                .position(|(name, _)| *name == axis)
+                .ok_or_else(|| Error::format(path, "PLY header", format!("vertices have no property `{axis}`")))?;
+        }
+        let mut schema = Schema::default();
+        for &(name, kind) in &scalars {
+            schema.fields.push(Field::plain(name.clone(), kind, schema.stride));
+            schema.stride += kind.size();
+        }
+        schema.name_once();
+        let single = axes.iter().all(|&axis| scalars[axis].1 == Kind::F32);
+        let precision = if single { Precision::Single } else { Precision::Double };
+        Ok(Scalars { schema, axes, precision, are_all: scalars.len() == vertex.properties.len() })
+    }
+}
+
 pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
     let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
     let file_bytes = file.metadata().map_err(|e| Error::io(path, "open", e))?.len();
@@ -205,32 +247,10 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         skip_element(path, &mut file, parsed.encoding, element, &mut line)?;
     }
     let vertex = vertex.ok_or_else(|| Error::format(path, "PLY header", "it has no element `vertex`"))?;
-    let scalars: Vec<(&String, Kind)> = vertex
-        .properties
-        .iter()
-        .filter_map(|property| match property {
-            Property::Scalar(name, kind) => Some((name, *kind)),
-            Property::List(..) => None,
-        })
-        .collect();
-    let mut axes = [0; 3];
-    for (axis, place) in ["x", "y", "z"].into_iter().zip(&mut axes) {
-        *place = scalars
-            .iter()
-            .position(|(name, _)| *name == axis)
-            .ok_or_else(|| Error::format(path, "PLY header", format!("vertices have no property `{axis}`")))?;
-    }
-    let mut schema = Schema::default();
-    for &(name, kind) in &scalars {
-        schema.fields.push(Field::plain(name.clone(), kind, schema.stride));
-        schema.stride += kind.size();
-    }
-    schema.name_once();
-    let single = axes.iter().all(|&axis| scalars[axis].1 == Kind::F32);
-    let only_scalars = scalars.len() == vertex.properties.len();
+    let Scalars { schema, axes, precision, are_all } = Scalars::of(path, vertex)?;
     let nothing_behind = parsed.elements.last().is_some_and(|element| element.name == "vertex");
     let mut held = None;
-    let fixed_bytes = (only_scalars && parsed.encoding != Encoding::Text).then_some(schema.stride);
+    let fixed_bytes = (are_all && parsed.encoding != Encoding::Text).then_some(schema.stride);
     if let Some(bytes) = fixed_bytes {
         let begin = std::io::Seek::stream_position(&mut file).map_err(|e| Error::io(path, "seek", e))?;
         let there = (file_bytes - begin) / bytes as u64;
@@ -249,7 +269,7 @@ pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
         format: Format::Ply,
         points: Some(vertex.count),
         schema,
-        precision: if single { Precision::Single } else { Precision::Double },
+        precision,
         crs: parsed.crs,
         shift: parsed.shift,
         intensity: None,

@@ -31,6 +31,7 @@ impl Offsets {
         }
     }
 
+    /// Number of points.
     pub fn len(&self) -> usize {
         self.len
     }

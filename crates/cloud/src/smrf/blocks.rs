@@ -40,10 +40,12 @@ pub struct Rect {
 }
 
 impl Rect {
+    /// Cells from west to east.
     pub fn width(&self) -> usize {
         self.x.1 - self.x.0
     }
 
+    /// Cells from north to south.
     pub fn height(&self) -> usize {
         self.y.1 - self.y.0
     }
@@ -70,6 +72,7 @@ pub struct Blocks {
 }
 
 impl Blocks {
+    /// No block of the frame yet.
     pub fn new(frame: Frame, lattice: Lattice) -> Blocks {
         let cells = |edge: f64| (edge / frame.cell_m).round() as i64;
         Blocks { frame, lattice, origin: [cells(frame.west), cells(-frame.north)], slots: BTreeMap::new() }
@@ -80,10 +83,12 @@ impl Blocks {
         (self.slots.len() * self.lattice.block * self.lattice.block) as u64
     }
 
+    /// Those that there are, in order.
     pub fn keys(&self) -> Vec<Key> {
         self.slots.keys().copied().collect()
     }
 
+    /// The block of a cell of the frame.
     pub fn key(&self, column: usize, row: usize) -> Key {
         let side = self.lattice.block as i64;
         ((self.origin[1] + row as i64).div_euclid(side), (self.origin[0] + column as i64).div_euclid(side))

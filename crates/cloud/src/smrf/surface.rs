@@ -10,6 +10,7 @@ pub struct Surface {
 }
 
 impl Surface {
+    /// Heights of a row, from the west.
     pub fn row(&self, row: usize) -> &[f64] {
         &self.values[row * self.columns..(row + 1) * self.columns]
     }
@@ -68,6 +69,7 @@ impl Frame {
         Some(frame)
     }
 
+    /// Number of cells.
     pub fn cells(&self) -> u64 {
         self.columns as u64 * self.rows as u64
     }

@@ -29,6 +29,7 @@ pub enum Method {
 impl Method {
     pub const ALL: [Method; 5] = [Method::Auto, Method::NuthKaab, Method::Lzd, Method::Bias, Method::Tilt];
 
+    /// As the command line has it.
     pub fn name(self) -> &'static str {
         match self {
             Method::Auto => "auto",

@@ -35,6 +35,7 @@ pub struct MovedBuffers {
 }
 
 impl<'a> Moved<'a> {
+    /// The other model on the template's grid, shifted by (x, y) in units of the CRS.
     pub fn of(pair: &Pair<'a>, shift: (f64, f64)) -> Self {
         let grid = pair.template.grid();
         if pair.finer > 1 {
@@ -64,6 +65,7 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// Of the whole grid.
     pub fn of(grid: &Grid) -> Frame {
         let (x, y) = grid.centre();
         let half = |step: f64, count: u64| step.abs() * count as f64 / 2.0;

@@ -23,6 +23,7 @@ pub(super) struct Free {
 }
 
 impl Free {
+    /// What a method adjusts at the most.
     pub fn of(method: Method) -> Free {
         let surface = match method {
             Method::Auto | Method::Tilt => Degree::Linear,
@@ -31,14 +32,17 @@ impl Free {
         Free { moves: method.moves(), surface }
     }
 
+    /// The same with another surface.
     pub fn with(self, surface: Degree) -> Free {
         Free { surface, ..self }
     }
 
+    /// The first unknown that is free: shifts stand before the surface.
     pub fn first(self) -> usize {
         if self.moves { 0 } else { SHIFTS }
     }
 
+    /// How many unknowns are free.
     pub fn count(self) -> usize {
         SHIFTS + self.surface.terms() - self.first()
     }

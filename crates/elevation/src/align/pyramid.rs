@@ -23,6 +23,7 @@ pub(super) struct Level {
 }
 
 impl Level {
+    /// The pair at this level.
     pub fn pair<'a>(&'a self, full: &'a Pair<'a>) -> Pair<'a> {
         // The other's means have about the template's cells already.
         Pair { template: &self.template, other: &self.other, finer: 1, ..*full }

@@ -20,12 +20,14 @@ impl Default for AbsHistogram {
 }
 
 impl AbsHistogram {
+    /// Counts a value by its magnitude.
     #[inline]
     pub fn add(&mut self, value: f64) {
         self.counts[((value as f32).to_bits() >> ABS_SHIFT) as usize % BUCKETS] += 1;
         self.total += 1;
     }
 
+    /// Adds another's counts.
     pub fn merge(&mut self, other: &Self) {
         if other.total > 0 {
             self.counts.iter_mut().zip(other.counts.iter()).for_each(|(a, b)| *a += b);
@@ -38,6 +40,7 @@ impl AbsHistogram {
         Filled(counts.map(|(bucket, &count)| (bucket as u32, count)).collect())
     }
 
+    /// The median of the magnitudes.
     pub fn median(&self) -> f64 {
         self.filled().median_below(f64::INFINITY)
     }

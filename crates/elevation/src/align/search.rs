@@ -41,6 +41,7 @@ pub struct Fitted {
     pub iterations: u32,
 }
 
+/// What a search ends with.
 pub enum Found {
     Fitted(Box<Fitted>),
     Nothing(String),

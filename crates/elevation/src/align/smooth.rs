@@ -22,6 +22,7 @@ impl Smooth {
         &self.values
     }
 
+    /// Takes all values out.
     pub fn clear(&mut self) {
         self.values.clear();
     }

@@ -86,6 +86,7 @@ impl Sums {
         }
     }
 
+    /// Adds another's sums, exactly: their order does not matter.
     pub fn merge(&mut self, other: &Sums) {
         self.matrix.iter_mut().zip(&other.matrix).for_each(|(a, b)| a.merge(b));
         self.right.iter_mut().zip(&other.right).for_each(|(a, b)| a.merge(b));

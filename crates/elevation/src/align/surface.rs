@@ -25,6 +25,7 @@ impl Degree {
     /// What may be asked for.
     pub const ALL: [Degree; 3] = [Degree::Linear, Degree::Quadratic, Degree::Cubic];
 
+    /// As JSON has it.
     pub fn name(self) -> &'static str {
         match self {
             Degree::Level => "level",
@@ -78,6 +79,7 @@ pub struct Surface {
 }
 
 impl Surface {
+    /// Its height at (u, v), which count from the middle in units of half the grid.
     pub fn at(&self, u: f64, v: f64) -> f64 {
         let terms = terms::<MOST_TERMS, 0>(u, v);
         self.coefficients[..self.degree.terms()].iter().zip(terms).map(|(c, term)| c * term).sum()

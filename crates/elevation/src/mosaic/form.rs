@@ -22,6 +22,7 @@ pub struct BandForm {
 }
 
 impl BandForm {
+    /// Whether it says how opaque pixels are.
     pub fn is_alpha(&self) -> bool {
         self.colour == ColorInterpretation::AlphaBand
     }
@@ -69,6 +70,7 @@ fn holds(kind: GdalDataType, value: f64) -> bool {
     }
 }
 
+/// The colours of a band of indices, red, green, blue and alpha; empty when it has none.
 pub fn palette_of(band: &RasterBand<'_>) -> Vec<[i16; 4]> {
     let Some(table) = band.color_table() else { return Vec::new() };
     let colour = |i: usize| table.entry_as_rgb(i).map_or([0; 4], |c| [c.r, c.g, c.b, c.a]);

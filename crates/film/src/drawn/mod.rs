@@ -293,6 +293,7 @@ impl FilmScene {
         Ok(FilmScene { info, painter, truth, drawn: Mutex::default() })
     }
 
+    /// What was drawn where.
     pub fn truth(&self) -> &FilmTruth {
         &self.truth
     }

@@ -30,6 +30,7 @@ pub(super) struct Drawing {
 }
 
 impl Drawing {
+    /// Drawn at every place (column, row), for want of knowing which squares are even.
     pub fn place_by_place(width: usize, height: usize, ink: impl Fn(usize, usize) -> Ink) -> Drawing {
         let (values, known) = (0..width * height).map(|n| ink(n % width, n / width)).unzip();
         let (squares, rows) = (width.div_ceil(LATTICE), height.div_ceil(LATTICE));

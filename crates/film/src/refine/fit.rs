@@ -196,11 +196,13 @@ pub(super) struct Fit<const N: usize, const M: usize> {
 }
 
 impl<const N: usize, const M: usize> Fit<N, M> {
+    /// Without pixels; `unlike` is how far the mark is from its drawing, of its contrast.
     pub fn new(unlike: f32) -> Self {
         let (opaque, shaped, magnitudes) = (vec![], Shaped::default(), Magnitudes::default());
         Fit { opaque, shaped, levels: [0.0; 4], sigma: 0.0, unlike, magnitudes }
     }
 
+    /// How many pixels it holds.
     pub fn pixels(&self) -> usize {
         self.opaque.len() + self.shaped.grey.len()
     }

@@ -18,6 +18,7 @@ pub(super) struct Magnitudes {
 }
 
 impl Magnitudes {
+    /// Takes all of them out.
     pub fn clear(&mut self) {
         self.counts.clear();
         self.counts.resize(BINS, 0);

@@ -250,6 +250,7 @@ impl Kernel for Laid<'_> {
 }
 
 impl Under<'_> {
+    /// Number of runs.
     pub fn runs(&self) -> usize {
         self.runs.len()
     }

@@ -15,6 +15,7 @@ pub enum Kernel {
 }
 
 impl Kernel {
+    /// As the command line has it.
     pub fn name(self) -> &'static str {
         match self {
             Kernel::Bilinear => "bilinear",

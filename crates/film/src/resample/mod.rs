@@ -30,6 +30,7 @@ const WIDEST: f64 = 8.0;
 /// Ground that bands are measured on ends this far inside the marks, clear of teeth and border.
 const CLEAR_MM: f64 = 4.0;
 
+/// How frames are resampled, and what of them is masked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResampleOptions {
     pub pixel_mm: f64,

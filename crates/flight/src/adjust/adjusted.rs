@@ -20,6 +20,7 @@ pub struct Blunder {
     pub test: f64,
 }
 
+/// A GCP after the adjustment.
 #[derive(Clone, Debug)]
 pub struct AdjustedPoint {
     pub name: String,
@@ -32,6 +33,7 @@ pub struct AdjustedPoint {
     pub image: Vec<(usize, [f64; 2])>,
 }
 
+/// A photograph after the adjustment.
 #[derive(Clone, Debug)]
 pub struct AdjustedCamera {
     pub photograph: usize,

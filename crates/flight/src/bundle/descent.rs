@@ -3,6 +3,7 @@
 use super::linear::Curvature;
 use super::problem::{Loss, Problem};
 
+/// How far and how long the iteration goes.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
     pub loss: Loss,
@@ -52,6 +53,7 @@ pub enum Ended {
     Left,
 }
 
+/// How the iteration went.
 #[derive(Clone, Copy, Debug)]
 pub struct Summary {
     pub first_cost: f64,

@@ -21,6 +21,7 @@ pub(super) struct Layout {
 }
 
 impl Layout {
+    /// Frames first, then what is adjusted of the cameras.
     pub fn new(problem: &Problem) -> Self {
         let n = problem.frames.len();
         let mut of_point = vec![Vec::new(); problem.points.len()];

@@ -65,11 +65,13 @@ impl OtherLens {
         self.step.reduced.fixed_rows::<6>(self.layout.frame_at[frame]).into_owned()
     }
 
+    /// Of an interior parameter of a camera; 0 where it is held.
     pub fn interior(&self, camera: usize, parameter: Parameter) -> f64 {
         let at = self.layout.active[camera].iter().position(|p| *p == parameter);
         at.map_or(0.0, |at| self.step.reduced[self.layout.interior_at[camera] + at])
     }
 
+    /// Of a point, in the world's units.
     pub fn point(&self, point: usize) -> Vector3<f64> {
         self.step.points[point]
     }

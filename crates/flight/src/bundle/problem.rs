@@ -26,9 +26,11 @@ pub struct BundleCamera {
 }
 
 impl BundleCamera {
+    /// A camera of which nothing is adjusted.
     pub fn held(camera: Camera) -> Self {
         BundleCamera { camera, treatment: [Treatment::Held; PARAMETERS] }
     }
+    /// The same with one parameter treated otherwise.
     pub fn treat(mut self, parameter: Parameter, treatment: Treatment) -> Self {
         self.treatment[parameter as usize] = treatment;
         self

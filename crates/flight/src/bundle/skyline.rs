@@ -28,9 +28,11 @@ impl Skyline {
         let rows = first.iter().enumerate().map(|(i, f)| vec![0.0; i + 1 - f]).collect();
         Skyline { first, rows }
     }
+    /// Number of rows.
     pub fn size(&self) -> usize {
         self.first.len()
     }
+    /// Makes every entry zero.
     pub fn clear(&mut self) {
         for row in &mut self.rows {
             row.fill(0.0);
@@ -50,6 +52,7 @@ impl Skyline {
             *entry += value;
         }
     }
+    /// The entry of row and column `i`.
     pub fn diagonal(&self, i: usize) -> f64 {
         self.rows[i][i - self.first[i]]
     }

@@ -61,6 +61,7 @@ impl<const N: usize> Lower<N> {
         Some(Lower(l))
     }
 
+    /// The entry of row and column `i`.
     pub fn diagonal(&self, i: usize) -> f64 {
         self.0[(i, i)]
     }

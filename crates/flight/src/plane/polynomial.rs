@@ -44,6 +44,7 @@ impl Polynomial {
         Polynomial { centre_px, scale_px, terms: Vec::new() }
     }
 
+    /// Its terms, in the order in which they are summed.
     pub fn terms(&self) -> &[Term] {
         &self.terms
     }

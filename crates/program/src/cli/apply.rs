@@ -67,7 +67,7 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     let _folder = args.write.folder()?;
     let request = args.write.request(&image, page, args.memory.0, threads(args.threads))?;
     let mut transaction = Transaction::new();
-    let bar = WarpBar::new(&request, Telling::of_flags(args.quiet, args.json));
+    let bar = WarpBar::new(&request, Telling::silent_if(args.quiet || args.json));
     let warnings = request.stage(&result, &mut transaction, &|done| bar.set(done))?;
     drop(bar);
     let written: Vec<String> = transaction.paths().iter().map(|path| path.display().to_string()).collect();

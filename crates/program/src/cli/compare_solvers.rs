@@ -10,6 +10,7 @@ use autoref_raster::Error;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::absolute::{self, PointPair};
 use autoref_solve::partial::{self, ControlPoint, Known};
+use autoref_solve::residual_analysis::{Analysis, Residual, analyse};
 use autoref_solve::{Pair, planar};
 use autoref_stream::georef::spreadsheet::Spreadsheet;
 use autoref_stream::result::RunResult;
@@ -18,7 +19,6 @@ use nalgebra::Vector3;
 use serde_json::json;
 
 use self::compared::{Compared, Found, Partly, Solved, Space, Turn, failed, print};
-use crate::cli::residual_analysis::{Analysis, Residual, analyse};
 use crate::cli::run::{self, LookArgs};
 use crate::cli::solving::{SolverArg, flat};
 use autoref_raster::words::counted;

@@ -66,7 +66,7 @@ pub fn run(args: &DetectArgs) -> anyhow::Result<ExitCode> {
         autoref_raster::atomic::check_outputs(&[&args.output], Existing::of_flag(args.overwrite))?;
     }
     let prepared = prepare::open(&args.image, &args.read, &args.paint.of(&args.marks), args.gsd)?;
-    let bar = Bar::new(prepared.source.info(), Telling::of_flags(args.quiet, args.json));
+    let bar = Bar::new(prepared.source.info(), Telling::silent_if(args.quiet || args.json));
     let found = scan(prepared.source.as_ref(), &prepared.plan, prepared.detector.as_detector(), &bar)?;
     bar.finish();
     let mut text = Vec::new();

@@ -86,10 +86,10 @@ pub fn write(
     let folder = scan.parent().unwrap_or(Path::new(""));
     let name = scan.file_name().with_context(|| format!("{}: is no file", scan.display()))?.to_string_lossy();
     let size_px = super::flight::image_size(scan, None)?;
-    let shown = views::Grey::plain(folder, &name, click::LARGEST_PX)?;
+    let shown = views::plain(folder, &name, click::LARGEST_PX)?;
     let frames = output.join(click::SHOWN);
     std::fs::create_dir_all(&frames).with_context(|| format!("{}: cannot create it", frames.display()))?;
-    shown.write(&frames.join("0.png"))?;
+    views::write_png(&shown, &frames.join("0.png"))?;
     let expected = learn::expected(camera, size_px, options);
     let marks = expected.iter().enumerate();
     let marks = marks.map(|(point, at)| ExpectedMark { point, frame: 0, predicted: Some([at.x, at.y]), at: None });

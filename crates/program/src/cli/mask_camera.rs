@@ -12,11 +12,6 @@ use autoref_terrain::shapes::{Meaning, Shape};
 
 use super::film_resample::{Box4, parse_box};
 
-/// The two text boxes of `svalbard-zeiss-1936`, millimetres from the upper left corner of the film. The 2017 thesis
-/// says that there are two in the upper corners and not how large: these are a fifth of the width and a twelfth of the
-/// height.
-const SVALBARD_BOXES_MM: [[f64; 4]; 2] = [[0.0, 0.0, 36.0, 15.0], [142.0, 0.0, 179.0, 15.0]];
-
 #[derive(clap::Args, Debug)]
 pub struct CameraArgs {
     /// Mask what every frame of this camera shows: marks, text boxes, border. A name of `fiducials --list-cameras` or a
@@ -56,13 +51,8 @@ impl CameraArgs {
             bail!("--mask-marks-mm must be between 0 and 50");
         }
         let camera = load_camera(name)?;
-        let mut boxes: Vec<[f64; 4]> = self.mask_box.iter().map(|b| b.0).collect();
-        if boxes.is_empty() {
-            boxes = camera.masked_mm.clone();
-        }
-        if boxes.is_empty() && camera.name == "svalbard-zeiss-1936" {
-            boxes = SVALBARD_BOXES_MM.to_vec();
-        }
+        let given: Vec<[f64; 4]> = self.mask_box.iter().map(|b| b.0).collect();
+        let boxes = if given.is_empty() { camera.boxes_off_ground_mm().to_vec() } else { given };
         let results = if self.fiducials.is_empty() { None } else { Some(self.results()?) };
         Ok(Some(CameraMask { camera, boxes, marks_mm: self.mask_marks_mm, results }))
     }

@@ -42,7 +42,6 @@ mod prepare;
 mod progress;
 pub mod replay;
 pub mod report;
-mod residual_analysis;
 pub mod run;
 pub mod sample;
 pub mod selftest;

@@ -177,10 +177,10 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let priors = Priors { gsd_m_per_px: args.gsd.map(|g| (g.0, g.1)), ..Priors::default() };
     let outcome = matcher.find(&candidates, &list.gcps, &priors);
     let (pattern, believed) = match &outcome {
-        MatchOutcome::Solved(solved) => (Some(&solved.pattern), true),
-        MatchOutcome::NoMatch(evidence) => (evidence.best.as_ref(), false),
+        MatchOutcome::Solved(solved) => (Some(&solved.pattern), Some(&solved.pattern)),
+        MatchOutcome::NoMatch(evidence) => (evidence.best.as_ref(), None),
     };
-    let pairs = pattern.filter(|_| believed).map_or(&[][..], |pattern| &pattern.pairs);
+    let pairs = believed.map_or(&[][..], |pattern| &pattern.pairs);
     let overlay = matcher.overlay(&candidates, &list.gcps, pairs);
     if let (Some(output), Some(overlay)) = (&args.output, &overlay) {
         let picture = picture::draw(overlay, &candidates, &list.gcps);
@@ -190,7 +190,7 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     let name = |gcp: usize| list.gcps[gcp].name.as_str();
     let document = json!({
         "program": format!("autoref-stream {}", env!("CARGO_PKG_VERSION")),
-        "status": if believed { "solved" } else { "refused" },
+        "status": if believed.is_some() { "solved" } else { "refused" },
         "reason": match &outcome { MatchOutcome::NoMatch(evidence) => Some(&evidence.reason), MatchOutcome::Solved(_) => None },
         "candidates": candidates.len(),
         "gcps": list.gcps.len(),
@@ -207,9 +207,9 @@ pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
     if args.json {
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else if !args.quiet {
-        print!("{}", words(&document, pattern, believed));
+        print!("{}", words(&document, believed));
     }
-    Ok(ExitCode::from(u8::from(!believed)))
+    Ok(ExitCode::from(u8::from(believed.is_none())))
 }
 
 /// Whether there is enough to make patterns of.
@@ -252,13 +252,13 @@ fn tried(matcher: &TppMatcher, candidates: &[Candidate], list: &GcpList, priors:
     pairs.map(row).collect()
 }
 
-fn words(document: &Value, pattern: Option<&Pattern>, believed: bool) -> String {
+fn words(document: &Value, believed: Option<&Pattern>) -> String {
     use std::fmt::Write;
     let mut out = String::new();
     let mut line = |label: &str, value: String| writeln!(out, "{label:<12}{value}").expect("a string takes all writes");
     line("Points", format!("{} in the image, {} listed", document["candidates"], document["gcps"]));
-    match pattern {
-        Some(p) if believed => line(
+    match believed {
+        Some(p) => line(
             "Solved",
             format!(
                 "{} points matched; {:.6} m per pixel, {:.4}°; chance alone would produce 10^{:.1} such patterns",
@@ -268,7 +268,7 @@ fn words(document: &Value, pattern: Option<&Pattern>, believed: bool) -> String 
                 p.log10_false_alarms
             ),
         ),
-        _ => line("Refused", document["reason"].as_str().unwrap_or("no two patterns agree").into()),
+        None => line("Refused", document["reason"].as_str().unwrap_or("no two patterns agree").into()),
     }
     if let Some(anchors) = document["anchors"].as_object() {
         line(

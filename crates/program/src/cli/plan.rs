@@ -11,7 +11,7 @@ use autoref_stream::gcp::{self, GcpOptions, GcpRole};
 use autoref_stream::planning::{self, PaintRank, Plan, PlanRequest};
 use clap::Args;
 
-use crate::cli::progress::Busy;
+use crate::cli::progress::{Busy, Telling};
 use crate::cli::values::{Gsd, MarkSize};
 
 /// Before the flight: is the pattern of the marks unique, how well will it hold the image, how large must a mark be,
@@ -94,11 +94,15 @@ pub fn run(args: &PlanArgs) -> anyhow::Result<ExitCode> {
         bail!("--mark-size in metres says nothing without --gsd");
     }
     let image = args.image.as_ref().map(|image| raster::open(image, ReaderChoice::Auto, 0, 64 << 20)).transpose()?;
-    let busy = Busy::new("trying every way of laying the pattern on itself", args.quiet || args.json);
+    let busy =
+        Busy::new("trying every way of laying the pattern on itself", Telling::silent_if(args.quiet || args.json));
     let mut plan = planning::plan(&points, &request);
     drop(busy);
     plan.advice.extend(mark_advice(args, &plan));
-    let busy = args.image.as_ref().map(|_| Busy::new("looking at the ground's colours", args.quiet || args.json));
+    let busy = args
+        .image
+        .as_ref()
+        .map(|_| Busy::new("looking at the ground's colours", Telling::silent_if(args.quiet || args.json)));
     let paints = image.map_or(Ok(Vec::new()), |image| planning::rank_paints(image.as_ref()))?;
     drop(busy);
     if args.json {

@@ -32,8 +32,8 @@ pub enum Telling {
 
 impl Telling {
     /// Nothing is told with --quiet, and beside the document of --json.
-    pub fn of_flags(quiet: bool, json: bool) -> Self {
-        if quiet || json { Telling::Silent } else { Telling::Told }
+    pub fn silent_if(quiet_or_json: bool) -> Self {
+        if quiet_or_json { Telling::Silent } else { Telling::Told }
     }
 }
 
@@ -254,9 +254,9 @@ impl Drop for Steps {
 pub struct Busy(indicatif::ProgressBar);
 
 impl Busy {
-    pub fn new(what: &str, quiet: bool) -> Self {
+    pub fn new(what: &str, telling: Telling) -> Self {
         let bar = indicatif::ProgressBar::new_spinner();
-        if quiet || !std::io::stderr().is_terminal() {
+        if telling == Telling::Silent || !std::io::stderr().is_terminal() {
             bar.set_draw_target(indicatif::ProgressDrawTarget::hidden());
         }
         let style = indicatif::ProgressStyle::with_template("{spinner} {msg} {elapsed:>4}");

@@ -7,6 +7,7 @@ use autoref_raster::window::Window;
 use autoref_raster::{Block, RasterSource};
 use autoref_solve::accuracy::AccuracyStatement;
 use autoref_solve::heights::HeightModel;
+use autoref_solve::residual_analysis::{self, Analysis, Correlation, Correlations};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::detector::Detector;
 use autoref_stream::pipeline::Progress;
@@ -18,7 +19,6 @@ use clap::Args;
 use crate::cli::accuracy;
 use crate::cli::lengths::length;
 use crate::cli::progress::Bar;
-use crate::cli::residual_analysis::{self, Correlation};
 
 #[derive(Args, Debug)]
 pub struct ReportArgs {
@@ -132,8 +132,36 @@ fn analysis_section(solved: &SolvedRun) -> Option<Section> {
     };
     let residuals: Vec<_> = solved.matches.iter().map(residual).collect();
     let analysis = residual_analysis::analyse(&residuals, 0.0);
-    let number =
-        |value: f64, digits: usize| if value.is_finite() { format!("{value:.digits$}") } else { "–".to_string() };
+    let titles = |list: &[&str]| list.iter().map(|title| (*title).to_string()).collect();
+    Some(Section {
+        heading: "Analysis of residuals".into(),
+        paragraphs: vec![format!(
+            "Of the {} points of the run's fit, without what a review changes. A p-value below 0.05 says that chance makes such \
+             residuals in fewer than one of 20 images.",
+            residuals.len()
+        )],
+        tables: vec![
+            Table {
+                caption: "Tests".into(),
+                header: titles(&["Test", "Value", "p", "What it says"]),
+                rows: test_rows(&analysis),
+            },
+            Table {
+                caption: "Correlations, with intervals of 95 %".into(),
+                header: titles(&["Between", "r", "Interval", "What it says"]),
+                rows: correlation_rows(&analysis.correlations),
+            },
+        ],
+        ..Section::default()
+    })
+}
+
+fn number(value: f64, digits: usize) -> String {
+    if value.is_finite() { format!("{value:.digits$}") } else { "–".to_string() }
+}
+
+/// Test, value, p and what it says.
+fn test_rows(analysis: &Analysis) -> Vec<Vec<String>> {
     let mut tests: Vec<Vec<String>> = Vec::new();
     let components = [
         ("Easting", Some(&analysis.easting)),
@@ -167,8 +195,12 @@ fn analysis_section(solved: &SolvedRun) -> Option<Section> {
             meaning,
         ]);
     }
+    tests
+}
+
+/// Between what, r, its interval and what it says.
+fn correlation_rows(found: &Correlations) -> Vec<Vec<String>> {
     let mut correlations: Vec<Vec<String>> = Vec::new();
-    let found = &analysis.correlations;
     for (name, correlation, meaning) in [
         ("Length and distance from the centre", &found.magnitude_distance_2d, "residuals grow outwards: scale or bend"),
         ("The same in space", &found.magnitude_distance_3d, "residuals grow outwards in space"),
@@ -180,24 +212,7 @@ fn analysis_section(solved: &SolvedRun) -> Option<Section> {
             correlations.push(vec![name.into(), number(r, 3), format!("{low:.3} to {high:.3}"), says.into()]);
         }
     }
-    let titles = |list: &[&str]| list.iter().map(|title| (*title).to_string()).collect();
-    Some(Section {
-        heading: "Analysis of residuals".into(),
-        paragraphs: vec![format!(
-            "Of the {} points of the run's fit, without what a review changes. A p-value below 0.05 says that chance makes such \
-             residuals in fewer than one of 20 images.",
-            residuals.len()
-        )],
-        tables: vec![
-            Table { caption: "Tests".into(), header: titles(&["Test", "Value", "p", "What it says"]), rows: tests },
-            Table {
-                caption: "Correlations, with intervals of 95 %".into(),
-                header: titles(&["Between", "r", "Interval", "What it says"]),
-                rows: correlations,
-            },
-        ],
-        ..Section::default()
-    })
+    correlations
 }
 
 fn heights_section(heights: &HeightResult, result: &RunResult) -> Section {

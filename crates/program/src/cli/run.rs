@@ -123,7 +123,7 @@ pub fn first_look(args: &LookArgs) -> anyhow::Result<RunResult> {
         Shared { chances: priors.len(), part: 1 },
         &args.matching.limit(),
     )?;
-    let bar = Bar::new(info, Telling::of_flags(args.quiet, args.json));
+    let bar = Bar::new(info, Telling::silent_if(args.quiet || args.json));
     let refiner = detector.relaxed();
     let run = georeference(&Job {
         source: source.as_ref(),
@@ -155,27 +155,14 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     accuracy::check_nssda(&args.look.gcps.accuracy, &list)?;
     drop(opening);
     let _folder = args.write.folder()?;
-    let request = args.write.request(
-        image,
-        args.look.read.page,
-        args.look.read.memory.0,
-        prepare::threads(args.look.read.threads),
-    )?;
-    request.check_local(list.crs.as_ref())?;
-    dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
-    let json = json_path(&request);
-    let report = args.report.wanted().then(|| report::path(&json));
-    let existing = Existing::of_flag(args.write.overwrite);
-    let outputs: Vec<&Path> = [Some(&json), report.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
-    atomic::check_outputs(&outputs, existing)?;
-    args.look.solving.check(existing)?;
+    let Outputs { request, json, report } = args.outputs(image, &list)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
     let priors = prepare::priors(info, &args.look.matching);
     let looks = args.looks(&detector)?;
     let time_limit = args.look.matching.limit();
     let matchers = Matchers::of(&args.look.matching, info, priors.len(), list.gcps.len(), looks, &time_limit)?;
-    let bar = Bar::new(info, Telling::of_flags(args.look.quiet, args.look.json));
+    let bar = Bar::new(info, Telling::silent_if(args.look.quiet || args.look.json));
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();
     let job = Job {
@@ -224,7 +211,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     // Its caches make room for what writing needs.
     drop(source);
     let report = report.as_deref().zip(gathered.as_ref());
-    let telling = Telling::of_flags(args.look.quiet, args.look.json);
+    let telling = Telling::silent_if(args.look.quiet || args.look.json);
     write_outputs(&request, &json, report, &mut document, started, telling, dem)?;
     print(&document.result, Printing { json: args.look.json, quiet: args.look.quiet });
     Ok(document.exit_code())
@@ -239,7 +226,36 @@ enum Looks {
     WithOtherColours,
 }
 
+/// What a run will write.
+struct Outputs {
+    request: WriteRequest,
+    json: PathBuf,
+    report: Option<PathBuf>,
+}
+
 impl RunArgs {
+    /// Asked before the image is looked at, so that nothing is found for nothing.
+    ///
+    /// # Errors
+    /// When an output cannot be written, or is there and is to be kept.
+    fn outputs(&self, image: &Path, list: &GcpList) -> anyhow::Result<Outputs> {
+        let request = self.write.request(
+            image,
+            self.look.read.page,
+            self.look.read.memory.0,
+            prepare::threads(self.look.read.threads),
+        )?;
+        request.check_local(list.crs.as_ref())?;
+        dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
+        let json = json_path(&request);
+        let report = self.report.wanted().then(|| report::path(&json));
+        let existing = Existing::of_flag(self.write.overwrite);
+        let outputs: Vec<&Path> = [Some(&json), report.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
+        atomic::check_outputs(&outputs, existing)?;
+        self.look.solving.check(existing)?;
+        Ok(Outputs { request, json, report })
+    }
+
     /// # Errors
     /// When a second pass is asked for that cannot be.
     fn looks(&self, detector: &MarkDetector) -> Result<Looks, Error> {

@@ -79,7 +79,7 @@ pub fn run(args: &SelftestArgs) -> anyhow::Result<ExitCode> {
     let info = prepared.source.info().clone();
     let range_px = Profile::load(&marks.profile)?.side_range_px(args.gsd.map(Gsd::middle_m))?;
     let sizes_px = sizes(args, range_px)?;
-    let bar = Bar::new(&info, Telling::of_flags(args.quiet, args.json));
+    let bar = Bar::new(&info, Telling::silent_if(args.quiet || args.json));
     // What is above the smallest budget is shared with tiles and cache.
     let spare = args.read.memory.0.saturating_sub(autoref_raster::memory_plan::SMALLEST_BUDGET_BYTES);
     let chip_budget_bytes = (spare / 4 + (2 << 20)).min(64 << 20);

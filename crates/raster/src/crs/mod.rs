@@ -170,6 +170,7 @@ impl Crs {
         })
     }
 
+    /// Its WKT.
     pub fn wkt(&self) -> &str {
         &self.wkt
     }
@@ -226,6 +227,7 @@ impl Crs {
         self.radians_per_unit.is_some_and(|unit| (unit / degree - 1.0).abs() < 1e-6)
     }
 
+    /// The unit of its axes, as the WKT calls it.
     pub fn unit_name(&self) -> &str {
         &self.unit_name
     }

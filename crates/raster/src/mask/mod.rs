@@ -31,6 +31,7 @@ impl Mask {
         self.words.resize(self.words_per_row * window.height as usize, 0);
     }
 
+    /// The pixels that it has bits of, image coordinates.
     pub fn window(&self) -> Window {
         self.window
     }
@@ -41,6 +42,7 @@ impl Mask {
         &self.words[start..start + self.words_per_row]
     }
 
+    /// The same, to be changed; bits beyond the width must stay clear.
     pub fn row_mut(&mut self, y: u64) -> &mut [u64] {
         let start = (y - self.window.y) as usize * self.words_per_row;
         &mut self.words[start..start + self.words_per_row]
@@ -52,6 +54,7 @@ impl Mask {
         self.row(y)[column / 64] >> (column % 64) & 1 == 1
     }
 
+    /// Makes the bit at an image position, which must lie in the window, foreground (true) or background.
     pub fn set(&mut self, x: u64, y: u64, value: bool) {
         let column = (x - self.window.x) as usize;
         let word = &mut self.row_mut(y)[column / 64];

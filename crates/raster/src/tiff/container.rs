@@ -87,6 +87,7 @@ pub enum ByteOrder {
 }
 
 impl ByteOrder {
+    /// The unsigned number that up to eight bytes stand for.
     pub fn number(self, bytes: &[u8]) -> u64 {
         let fold = |value: u64, byte: &u8| value << 8 | u64::from(*byte);
         match self {
@@ -95,6 +96,7 @@ impl ByteOrder {
         }
     }
 
+    /// Whether it is this machine's.
     pub fn is_native(self) -> bool {
         (self == ByteOrder::Little) == cfg!(target_endian = "little")
     }
@@ -304,6 +306,7 @@ impl Directories {
         Ok(None)
     }
 
+    /// The entry of a tag in directory `index`, counted from 0.
     pub fn entry(&self, index: usize, tag: u16) -> Option<&Entry> {
         self.list[index].entries.iter().find(|entry| entry.tag == tag)
     }

@@ -32,6 +32,7 @@ impl EmptyBlocks {
         self.seen.lock().unwrap_or_else(PoisonError::into_inner).iter().any(|seen| **seen == *data)
     }
 
+    /// A block with these bytes holds nothing; the first few are remembered.
     pub fn remember(&self, data: &[u8]) {
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         if seen.len() < REMEMBERED && !seen.iter().any(|known| **known == *data) {

@@ -19,6 +19,7 @@ pub enum Codec {
 }
 
 impl Codec {
+    /// As messages have it.
     pub fn name(self) -> &'static str {
         match self {
             Codec::None => "uncompressed",
@@ -40,6 +41,7 @@ pub enum Samples {
 }
 
 impl Samples {
+    /// Bytes of a sample.
     pub fn bytes(self) -> usize {
         match self {
             Samples::Unsigned(sample) => sample.bytes(),
@@ -219,10 +221,12 @@ impl Layout {
         Ok(())
     }
 
+    /// File blocks from left to right.
     pub fn blocks_across(&self) -> u64 {
         self.width.div_ceil(self.block_width)
     }
 
+    /// File blocks from top to bottom.
     pub fn blocks_down(&self) -> u64 {
         self.height.div_ceil(self.block_height)
     }

@@ -58,6 +58,7 @@ fn length_of(short: u64) -> usize {
 }
 
 impl Decoder {
+    /// One whose table holds single bytes.
     pub fn new() -> Self {
         let mut short = Box::new([0; CODES]);
         for (byte, entry) in short[..CLEAR].iter_mut().enumerate() {

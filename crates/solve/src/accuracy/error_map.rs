@@ -15,7 +15,7 @@
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::planar::{Kind, PlanarFit};
+use crate::planar::{Kind, PlanarFit, affine_cofactors};
 use crate::{Pair, Similarity, Solution};
 use autoref_raster::coords::{MapPoint, PixelPoint};
 
@@ -77,11 +77,7 @@ impl ErrorModel {
         let centre = PixelPoint { x: mean(|pair| pair.pixel.x), y: mean(|pair| pair.pixel.y) };
         let square = |pair: &Pair| (pair.pixel.x - centre.x).powi(2) + (pair.pixel.y - centre.y).powi(2);
         let unit_px = (pairs.iter().map(square).sum::<f64>() / n).sqrt();
-        let rows = pairs.iter().zip(&fit.weights).map(|(pair, weight)| {
-            let row = row(pair.pixel, centre, unit_px);
-            *weight * row * row.transpose()
-        });
-        let inverse = rows.sum::<Matrix3<f64>>().try_inverse()?;
+        let inverse = affine_cofactors(pairs.iter().map(|pair| row(pair.pixel, centre, unit_px)), &fit.weights)?;
         let squares = fit.residuals_m.iter().zip(&fit.weights).map(|(r, w)| w * (r[0] * r[0] + r[1] * r[1]));
         let sigma_m = (squares.sum::<f64>() / freedom).sqrt();
         Some(ErrorModel {
@@ -133,10 +129,13 @@ fn row(p: PixelPoint, centre: PixelPoint, unit_px: f64) -> Vector3<f64> {
 /// Expected errors over an image, at the nodes of a grid that reaches from corner to corner.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ErrorMap {
+    /// Size of the image, pixels.
     pub width_px: f64,
+    /// Likewise.
     pub height_px: f64,
     /// Nodes from left to right and from top to bottom, the edges included; at least 2 each.
     pub columns: usize,
+    /// Likewise.
     pub rows: usize,
     /// Row-major from the upper left corner.
     pub nodes: Vec<ExpectedError>,
@@ -145,19 +144,26 @@ pub struct ErrorMap {
 /// The expected error in one corner of the image.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CornerError {
+    /// Which corner.
     pub corner: Corner,
     /// Which way it lies from the middle of the image, on the map: "north-west".
     pub direction: String,
+    /// Radii of 95 % there.
     #[serde(flatten)]
     pub expected: ExpectedError,
 }
 
+/// A corner of the image as it is stored, x to the right and y down.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Corner {
+    /// (0, 0).
     UpperLeft,
+    /// (width, 0).
     UpperRight,
+    /// (width, height).
     LowerRight,
+    /// (0, height).
     LowerLeft,
 }
 

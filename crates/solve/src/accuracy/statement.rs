@@ -23,10 +23,13 @@ const STANDARD: &str = "ASPRS Positional Accuracy Standards for Digital Geospati
 /// A check point: what the result says there less what was surveyed, and how well that was.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CheckError {
+    /// As the list has it.
     pub name: String,
     /// Computed − surveyed, metres.
     pub easting_m: f64,
+    /// Likewise.
     pub northing_m: f64,
+    /// Likewise; `None` where heights are not compared.
     pub height_m: Option<f64>,
     /// 1σ of the survey in each of easting and northing, metres.
     pub survey_sigma_m: Option<f64>,
@@ -39,6 +42,7 @@ pub struct CheckError {
 pub struct StatementOptions {
     /// The accuracy class that the data are to meet, metres; without it the smallest whole centimetre that they do.
     pub class_h_m: Option<f64>,
+    /// Likewise of heights.
     pub class_v_m: Option<f64>,
     /// Add the NSSDA's figure at 95 % confidence.
     pub nssda: bool,
@@ -59,11 +63,15 @@ pub enum Basis {
 /// The figures of the horizontal position, metres.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Horizontal {
+    /// How many check points the figures rest on.
     pub check_points: usize,
     /// Mean of computed − surveyed.
     pub mean_e_m: f64,
+    /// Likewise.
     pub mean_n_m: f64,
+    /// √(mean square) of the differences in easting, divisor n.
     pub rmse_e_m: f64,
+    /// Likewise in northing.
     pub rmse_n_m: f64,
     /// Of the differences at the check points: √(RMSE_x² + RMSE_y²).
     pub rmse_h1_m: f64,
@@ -78,28 +86,41 @@ pub struct Horizontal {
 /// The figures of the height, metres.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Vertical {
+    /// How many check points with a height the figures rest on.
     pub check_points: usize,
+    /// Mean of computed − surveyed.
     pub mean_m: f64,
+    /// Of the differences at the check points.
     pub rmse_v1_m: f64,
+    /// Of their survey, √(mean(σ²)) over those for which it is stated.
     pub rmse_v2_m: Option<f64>,
+    /// √(RMSE_V1² + RMSE_V2²); without a stated survey error RMSE_V1.
     pub rmse_v_m: f64,
+    /// The class that the statement names.
     pub class_m: f64,
 }
 
 /// Figures at 95 % confidence after the NSSDA, metres.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Nssda {
+    /// Radius that holds 95 of 100 positions.
     pub horizontal_95_m: f64,
+    /// Deviation that 95 of 100 heights keep within.
     pub vertical_95_m: Option<f64>,
 }
 
 /// All figures of a statement.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AccuracyFigures {
+    /// What they rest on.
     pub basis: Basis,
+    /// `None` without check points.
     pub horizontal: Option<Horizontal>,
+    /// `None` without check points that have heights.
     pub vertical: Option<Vertical>,
+    /// √(RMSE_H² + RMSE_V²), metres, where both are known.
     pub rmse_3d_m: Option<f64>,
+    /// Where it was asked for.
     pub nssda: Option<Nssda>,
     /// √(mean(dE² + dN²)) of the control points, each left out of the fit in turn, metres.
     pub leave_one_out_m: Option<f64>,
@@ -108,8 +129,11 @@ pub struct AccuracyFigures {
 /// The statement: figures, the sentences that the standard prescribes, and what must be said against them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AccuracyStatement {
+    /// What was computed.
     pub figures: AccuracyFigures,
+    /// The standard's wording with the figures in it.
     pub sentences: Vec<String>,
+    /// What must be said against them, a sentence each.
     pub reservations: Vec<String>,
 }
 

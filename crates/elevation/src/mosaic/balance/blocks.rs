@@ -32,6 +32,7 @@ pub struct Block {
 }
 
 impl Block {
+    /// Whether both sources have a mean of this band in it.
     pub fn counts(&self, band: usize) -> bool {
         !self.means[band].0.is_nan()
     }

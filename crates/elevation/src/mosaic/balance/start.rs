@@ -30,6 +30,7 @@ pub struct Line {
 }
 
 impl Line {
+    /// How far a pair of values lies beside it, along the second.
     pub fn distance(&self, (x, y): (f64, f64)) -> f64 {
         (y - self.level.1 - self.slope * (x - self.level.0)).abs()
     }

@@ -46,6 +46,7 @@ pub(super) struct Frame {
 }
 
 impl Frame {
+    /// Of a source, in cells of the mosaic.
     pub fn of(source: &Source, mosaic: &Grid) -> Frame {
         let centre = source.grid.centre();
         let half = |size: u64, step: f64, own: f64| (size as f64 * step / own / 2.0).abs().max(0.5);

@@ -23,6 +23,7 @@ pub(super) struct Radial {
 }
 
 impl Radial {
+    /// The same as a polynomial of places in units of `unit` pixels.
     pub fn polynomial(&self, unit: f64) -> Polynomial {
         let mut all = Polynomial::new(self.centre, unit);
         let scaled: Vec<f64> = (1..).zip(&self.coefficients).map(|(k, c)| c * unit.powi(2 * k)).collect();
@@ -43,6 +44,7 @@ pub(super) enum Model {
 }
 
 impl Model {
+    /// Whether all places stay where they are.
     pub fn moves_nothing(&self) -> bool {
         match self {
             Model::None => true,

@@ -1,10 +1,9 @@
 //! What a comparison says of each solver, as JSON and as a line.
 
 use autoref_solve::absolute;
+use autoref_solve::residual_analysis::{Analysis, Component};
 use nalgebra::Matrix3;
 use serde::Serialize;
-
-use crate::cli::residual_analysis::{Analysis, Component};
 
 /// What a solver places points in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

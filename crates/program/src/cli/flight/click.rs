@@ -65,7 +65,7 @@ pub fn click(args: &ClickArgs) -> Result<ExitCode> {
     let shown = args.output.join(SHOWN);
     std::fs::create_dir_all(&shown).map_err(|e| Error::io(&shown, "create", e))?;
     for (i, name) in names.iter().enumerate() {
-        views::Grey::plain(&folder, name, LARGEST_PX)?.write(&shown.join(format!("{i}.png")))?;
+        views::write_png(&views::plain(&folder, name, LARGEST_PX)?, &shown.join(format!("{i}.png")))?;
     }
     let data = ClickData {
         frames: names.iter().enumerate().map(|(i, name)| ShownFrame::of(i, name, size_px)).collect(),

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use autoref_flight::Error;
+use autoref_flight::grey::Grey;
 use autoref_flight::read::tables::CameraRow;
 use autoref_raster::crs::Crs;
 use autoref_raster::jpeg_end;
@@ -15,7 +16,7 @@ use gdal::{Dataset, Metadata};
 use rayon::prelude::*;
 
 use super::camera_tables::brought;
-use super::views::{Grey, LARGEST_PX};
+use super::views::{LARGEST_PX, plain, write_png};
 
 /// The frames that can be read and are of the size that most have, and a line about each of the others. `seen` is shown
 /// each frame that can be read.
@@ -32,7 +33,7 @@ pub fn usable(
         let size = Dataset::open(&path).map_err(|e| autoref_raster::Error::gdal(&path, e))?.raster_size();
         jpeg_end::check(&path)?;
         // A file that ends too early tells its size all the same.
-        Ok((size, Grey::plain(folder, name, LARGEST_PX)?))
+        Ok((size, plain(folder, name, LARGEST_PX)?))
     };
     let size = |name: &String| match look(name) {
         Ok((size, grey)) => seen(name, &grey).map(|()| Ok(size)),
@@ -92,7 +93,7 @@ pub fn for_colmap(folder: &Path, names: &[String], out: &Path) -> Result<PathBuf
         }
         if deep {
             // PNG under any name: readers go by what a file begins with.
-            Grey::plain(folder, name, usize::MAX)?.write(&target)?;
+            write_png(&plain(folder, name, usize::MAX)?, &target)?;
         } else {
             std::os::unix::fs::symlink(folder.join(name), &target).map_err(|e| Error::io(&target, "link", e))?;
         }

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use autoref_flight::adjust::{GroundPoint, RoughPose};
+use autoref_flight::ground_plane::Interior;
 use autoref_flight::pose::turn;
 use autoref_flight::read::{Photograph, Reconstruction, colmap};
 use autoref_flight::{Camera, Error, Pose, complete, start};
@@ -17,7 +18,7 @@ use autoref_raster::fingerprint::{self, Fingerprint};
 use super::engine::{Program, no_pair};
 use super::project::{Focal, Project};
 use super::ties::{self, Ties};
-use super::views::{Interior, Masks, View};
+use super::views::{Masks, View};
 
 /// A flight's frames in the order in which it took them.
 pub struct Flight<'a> {

@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use autoref_flight::Error;
+use autoref_flight::grey::Grey;
 use autoref_raster::atomic;
 use serde::Serialize;
 
 use super::stage::Stage;
 use super::stage_line::StageLine;
 use super::stage_pages;
-use super::views::Grey;
+use super::views::write_png;
 
 /// Whether there is another stage to work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,7 +46,7 @@ impl Record {
 
     /// Keeps a small picture of a frame.
     pub fn picture(&self, name: &str, grey: &Grey) -> Result<()> {
-        grey.smaller(PICTURE_PX).write(&self.folder.join("frames").join(format!("{name}.png")))
+        write_png(&grey.smaller(PICTURE_PX), &self.folder.join("frames").join(format!("{name}.png")))
     }
 
     /// Width and height of the pictures, and their pixels per pixel of a frame.

@@ -7,6 +7,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use autoref_flight::Error;
+use autoref_flight::ground_plane::{Interior, homography, mapped};
 use autoref_flight::start::Track;
 use autoref_flight::ties::{DESCRIPTOR, Features, matched};
 use autoref_raster::bounded;
@@ -18,7 +19,7 @@ use serde::{Deserialize, Serialize};
 use crate::cli::progress::Steps;
 use autoref_raster::sets::Sets;
 
-use super::views::{Counted, Interior, Masks, Shelf, View, homography, mapped};
+use super::views::{Counted, Masks, Shelf, View, write_png};
 
 /// A feature of a warped neighbour is one of the frame itself when it lies this close.
 const SAME_PX: f64 = 1.0;
@@ -231,13 +232,13 @@ fn draw(images: &Path, job: &Job<'_>) -> Result<Drawn> {
         shelf.forget_before(a);
         let frame = shelf.get(job.frames, &view.name, a)?;
         largest_px = largest_px.max(frame.layout.width).max(frame.layout.height);
-        frame.write(&images.join(format!("r{a}.png")))?;
+        write_png(frame, &images.join(format!("r{a}.png")))?;
         for &(_, b) in job.pairs.iter().filter(|p| p.0 == a) {
             let Some(h) = homography(&view.pose, &job.views[b].pose, job.interior, job.ground_m) else { continue };
             shelf.get(job.frames, &job.views[b].name, b)?;
             let (drawn, share) = shelf.have(b).warped(shelf.have(a).layout, &h);
             if share >= LEAST_OVERLAP {
-                drawn.write(&images.join(format!("w{a}_{b}.png")))?;
+                write_png(&drawn, &images.join(format!("w{a}_{b}.png")))?;
                 warped.push((a, b, h));
             }
         }

@@ -63,6 +63,7 @@ impl Table {
         if index == symbols.len() { Ok(table) } else { Err(NotDecoded) }
     }
 
+    /// Whether it was made of these bytes of a DHT segment.
     pub fn is(&self, spec: &[u8]) -> bool {
         self.spec == spec
     }
@@ -109,6 +110,7 @@ pub struct Bits<'a> {
 }
 
 impl<'a> Bits<'a> {
+    /// Of the bytes behind the header of a scan.
     pub fn new(data: &'a [u8]) -> Self {
         Bits { data, buffer: 0, count: 0, lent: 0 }
     }

@@ -95,6 +95,7 @@ struct Frame {
 }
 
 impl Decoder {
+    /// One that has read no tables yet.
     pub fn new(kernel: Kernel) -> Self {
         let slots = || (0..4).map(|_| None).collect();
         Decoder {

@@ -6,80 +6,118 @@
 //! favoured direction, with the p-value of J. H. Zar, "Biostatistical analysis", 1999, eq. 27.4. Intervals of
 //! correlations by R. A. Fisher's z, 95 %.
 
+use autoref_raster::normal;
 use serde::Serialize;
 
 /// A residual and where its point lies, metres.
 pub struct Residual {
+    /// Easting and northing of the point.
     pub position: [f64; 2],
+    /// Height of the point; `None` where it is not known.
     pub height_m: Option<f64>,
+    /// The residual in easting.
     pub e_m: f64,
+    /// The residual in northing.
     pub n_m: f64,
+    /// The residual in height, where there is one.
     pub h_m: Option<f64>,
 }
 
 /// What is said of residuals. What too few points leave open is `None`.
 #[derive(Debug, Serialize)]
 pub struct Analysis {
+    /// How many residuals there are.
     pub points: usize,
+    /// As given to [`analyse`].
     pub tail_cut: f64,
     /// The mean of the points, metres.
     pub centre: [f64; 2],
+    /// Residuals in easting.
     pub easting: Component,
+    /// Residuals in northing.
     pub northing: Component,
+    /// Residuals in height; `None` when no point has one.
     pub height: Option<Component>,
+    /// Which way the residuals point in the plane.
     pub directions: Directions,
+    /// How they hang together with the place.
     pub correlations: Correlations,
 }
 
 /// One component of the residuals.
 #[derive(Debug, Serialize)]
 pub struct Component {
+    /// Without the tails.
     pub histogram: Option<Histogram>,
+    /// Without the tails.
     pub normality: Option<Normality>,
 }
 
+/// Counts in bins of equal width.
 #[derive(Debug, Serialize)]
 pub struct Histogram {
+    /// Lower end of the first bin.
     pub from_m: f64,
+    /// Upper end of the last bin.
     pub to_m: f64,
+    /// In each bin, from below.
     pub counts: [usize; BINS],
 }
 
+/// Whether values may come from a normal distribution.
 #[derive(Debug, Serialize)]
 #[serde(tag = "test", rename = "Anderson-Darling")]
 pub struct Normality {
+    /// A² with mean and variance from the sample.
     pub statistic: f64,
+    /// The chance of such a statistic if they do.
     pub p_value: f64,
+    /// Values that were tested.
     pub n: usize,
 }
 
+/// Which way residuals point.
 #[derive(Debug, Serialize)]
 pub struct Directions {
+    /// Counts in equal sectors, anticlockwise from west.
     pub sectors: [usize; SECTORS],
+    /// The direction they favour.
     pub favoured: Option<Favoured>,
 }
 
+/// The mean direction, and whether it is more than chance.
 #[derive(Debug, Serialize)]
 #[serde(tag = "test", rename = "Rayleigh")]
 pub struct Favoured {
     /// Anticlockwise from east.
     pub direction_deg: f64,
+    /// Length of the mean of unit vectors, 0 (all directions alike) to 1.
     pub share: f64,
+    /// The chance of such a share if no direction is favoured.
     pub p_value: f64,
 }
 
+/// How residuals hang together with the distance and direction from the centre.
 #[derive(Debug, Serialize)]
 pub struct Correlations {
+    /// Length of the residual and distance, in the plane.
     pub magnitude_distance_2d: Option<Correlation>,
+    /// The same in space.
     pub magnitude_distance_3d: Option<Correlation>,
+    /// Direction of the residual and direction from the centre, radians.
     pub direction_outward: Option<Correlation>,
 }
 
+/// A correlation with its interval of 95 %.
 #[derive(Debug, Serialize)]
 pub struct Correlation {
+    /// Pearson's coefficient.
     pub r: f64,
+    /// Lower end of the interval.
     pub low_95: f64,
+    /// Upper end of the interval.
     pub high_95: f64,
+    /// Pairs of values.
     pub n: usize,
 }
 
@@ -172,16 +210,6 @@ fn histogram(sorted: &[f64]) -> Option<Histogram> {
     Some(Histogram { from_m: low, to_m: high, counts })
 }
 
-/// Standard normal distribution function; W. J. Cody's rational forms are not needed for a p-value of three digits.
-fn normal_below(z: f64) -> f64 {
-    // Abramowitz and Stegun, "Handbook of mathematical functions", 1964, 26.2.17: good to 7.5e-8.
-    let t = 1.0 / (1.0 + 0.231_641_9 * z.abs());
-    let poly =
-        t * (0.319_381_530 + t * (-0.356_563_782 + t * (1.781_477_937 + t * (-1.821_255_978 + t * 1.330_274_429))));
-    let tail = (-z * z / 2.0).exp() / (2.0 * std::f64::consts::PI).sqrt() * poly;
-    if z > 0.0 { 1.0 - tail } else { tail }
-}
-
 fn normality(sorted: &[f64]) -> Option<Normality> {
     let n = sorted.len();
     let mean = sorted.iter().sum::<f64>() / n.max(1) as f64;
@@ -189,7 +217,7 @@ fn normality(sorted: &[f64]) -> Option<Normality> {
     if n < FEWEST || variance <= 0.0 {
         return None;
     }
-    let below = |i: usize| normal_below((sorted[i] - mean) / variance.sqrt()).clamp(1e-15, 1.0 - 1e-15);
+    let below = |i: usize| normal::below((sorted[i] - mean) / variance.sqrt()).clamp(1e-15, 1.0 - 1e-15);
     let count = n as f64;
     let sum: f64 = (0..n).map(|i| (2.0 * i as f64 + 1.0) * (below(i).ln() + (1.0 - below(n - 1 - i)).ln())).sum();
     let a2 = (-count - sum / count) * (1.0 + 0.75 / count + 2.25 / (count * count));
@@ -243,7 +271,7 @@ fn correlation(pairs: &[[f64; 2]]) -> Option<Correlation> {
         return None;
     }
     let r = (sum(&|p| (p[0] - a) * (p[1] - b)) / spread).clamp(-1.0, 1.0);
-    let (z, half) = (r.clamp(-1.0 + 1e-12, 1.0 - 1e-12).atanh(), 1.959_964 / (count - 3.0).sqrt());
+    let (z, half) = (r.clamp(-1.0 + 1e-12, 1.0 - 1e-12).atanh(), normal::WITHIN_95 / (count - 3.0).sqrt());
     Some(Correlation { r, low_95: (z - half).tanh(), high_95: (z + half).tanh(), n })
 }
 
@@ -268,7 +296,7 @@ mod tests {
         let (mut low, mut high) = (-9.0, 9.0);
         for _ in 0..80 {
             let middle = (low + high) / 2.0;
-            if normal_below(middle) < p { low = middle } else { high = middle }
+            if normal::below(middle) < p { low = middle } else { high = middle }
         }
         low
     }
