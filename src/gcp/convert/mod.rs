@@ -86,9 +86,12 @@ impl Survey {
         let mut gcps: Vec<Gcp> = self.gcps().cloned().collect();
         working_crs::change(input, &mut gcps, source, &target, worst_accuracy_m, notes)?;
         let per_unit = 10f64.powi(if target.is_geographic() { DEGREE_DIGITS } else { LENGTH_DIGITS });
+        let per_metre = 10f64.powi(LENGTH_DIGITS);
         for (point, gcp) in self.points.iter_mut().zip(gcps) {
             let rounded = |value: f64| (value * per_unit).round() / per_unit;
-            point.gcp = Gcp { easting: rounded(gcp.easting), northing: rounded(gcp.northing), ..gcp };
+            let is_same = gcp.height == point.gcp.height;
+            let height = if is_same { gcp.height } else { gcp.height.map(|h| (h * per_metre).round() / per_metre) };
+            point.gcp = Gcp { easting: rounded(gcp.easting), northing: rounded(gcp.northing), height, ..gcp };
         }
         self.crs = Some(target);
         Ok(())
