@@ -50,6 +50,9 @@ const NO_HEIGHT: f64 = 100_000.0;
 /// No coordinate of a map's northing or easting is smaller.
 const SMALLEST_COORDINATE: f64 = 10_000.0;
 
+/// Codes of themes have four digits, and up to seven.
+const LARGEST_CODE: f64 = 10_000_000.0;
+
 fn record_type(line: &str) -> Option<&str> {
     line.split_whitespace().next()
 }
@@ -99,9 +102,9 @@ fn at_blanks(line: &str) -> Option<Gcp> {
     Some(Gcp { height, ..Gcp::control(*name, number(east?)?, number(north?)?) })
 }
 
-/// A small whole number.
+/// A whole number of a theme.
 fn is_code(text: &str) -> bool {
-    text.bytes().all(|b| b.is_ascii_digit()) && number(text).is_some_and(|code| code < SMALLEST_COORDINATE)
+    text.bytes().all(|b| b.is_ascii_digit()) && number(text).is_some_and(|code| code < LARGEST_CODE)
 }
 
 fn is_coordinate(text: &str) -> bool {
@@ -136,6 +139,7 @@ mod tests {
         for line in [
             "05 P1         7002      7032516.800  570406.900",
             "05 P1 7002 7032516.800 570406.900",
+            "05 P1 6100000 7032516.800 570406.900",
             "05 P1 7002 7032516.800 570406.900 80.3",
             "1 P1 7032516.800 570406.900 80.3 7002",
         ] {
@@ -143,7 +147,7 @@ mod tests {
             assert_eq!((gcp.northing, gcp.easting), (7032516.8, 570406.9), "{line}");
             assert!(gcp.height.is_none_or(|height| height == 80.3), "{line}");
         }
-        let error = parse(Path::new("a.kof"), "05 P1 86 7032516.8 570406.9\n05 P2 70021 7032516.8 570406.9\n");
+        let error = parse(Path::new("a.kof"), "05 P1 86 7032516.8 570406.9\n05 P2 7002.5 7032516.8 570406.9\n");
         assert!(error.err().expect("no height").to_string().contains("row 2"));
     }
 
