@@ -46,7 +46,8 @@ impl Columns {
                 divided.join(", ")
             ));
         }
-        const WORDS: [&str; 14] = [
+        // An error is a residual to most.
+        const WORDS: [&str; 13] = [
             "accuracy",
             "sigma",
             "std",
@@ -58,7 +59,6 @@ impl Columns {
             "hrms",
             "precision",
             "prec",
-            "error",
             "genauigkeit",
             "nøyaktighet",
         ];

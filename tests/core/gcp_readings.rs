@@ -113,7 +113,7 @@ fn accuracies_are_one_standard_deviation() {
     assert_eq!(list.gcps[0].sigma_m, Some(0.02));
     let list = read("name,E,N,mE [cm],mN [cm]\nA,1,2,3,4\nB,4,2,3,4\n");
     assert!((list.gcps[0].sigma_m.expect("one") - 0.035_355).abs() < 1e-5);
-    says(&read("name,easting,northing,Plan error (mm)\nA,1,2,3\nB,4,2,3\n"), "no accuracy was read");
+    says(&read("name,easting,northing,Plan precision (mm)\nA,1,2,3\nB,4,2,3\n"), "no accuracy was read");
 }
 
 #[test]
