@@ -1,6 +1,81 @@
 //! What a feature says of itself, as text.
 
+use std::collections::BTreeSet;
+use std::path::Path;
+
 use gdal::vector::{Feature, FieldValue};
+
+use crate::gcp::columns::columns;
+use crate::gcp::raw::{RawList, RawPoint};
+use crate::gcp::units::Unit;
+use crate::gcp::{said_of_columns, titles};
+use autoref_raster::error::Result;
+
+/// Titles without which a table has no points; features have their coordinates in a geometry.
+const PLACEHOLDERS: [&str; 2] = ["easting", "northing"];
+
+/// What the attributes of all features say: under which titles their heights stand, and how they were read.
+#[derive(Default)]
+pub(super) struct Told {
+    titles: BTreeSet<String>,
+    others: bool,
+    roles: BTreeSet<(String, String)>,
+    notes: BTreeSet<String>,
+}
+
+impl Told {
+    /// A point, and the title of the attribute that its height is.
+    pub(super) fn height(&mut self, point: &RawPoint, title: Option<String>) {
+        match title.filter(|_| point.gcp.height.is_some()) {
+            Some(title) => drop(self.titles.insert(title)),
+            None => self.others |= point.gcp.height.is_some(),
+        }
+    }
+
+    /// Hands the unit of all heights to the list, and what is to be said.
+    pub(super) fn tell(self, path: &Path, list: &mut RawList) {
+        let mut titles = self.titles.into_iter().filter(|_| !self.others);
+        if let (Some(title), None) = (titles.next(), titles.next()) {
+            list.units.height = Unit::of_title(&title).map(|unit| (unit, title));
+        }
+        let notes = self.notes.into_iter().chain(said_of_columns::of_roles(&self.roles));
+        list.notes.extend(notes.map(|what| format!("{}: {what}", path.display())));
+    }
+}
+
+/// The point of a feature at `place`: its attributes go through the same reading as a table's, with the geometry for
+/// the coordinates. With the title that its height was read under.
+///
+/// # Errors
+/// Those of a table's row.
+pub(super) fn point(
+    path: &Path,
+    place: String,
+    (titles, own): (&[String], &[String]),
+    (x, y): (f64, f64),
+    number: &str,
+    told: &mut Told,
+) -> Result<(RawPoint, Option<String>)> {
+    let row: Vec<String> = own.iter().cloned().chain([x.to_string(), y.to_string()]).collect();
+    // Columns that repeat the coordinates must not win over the geometry.
+    let unlike = |(i, title): (usize, &String)| match titles::is_coordinate(title) {
+        true => format!("attribute {i}"),
+        false => title.clone(),
+    };
+    let seen = titles.iter().enumerate().map(unlike).chain(PLACEHOLDERS.map(str::to_string)).collect();
+    let columns = columns(seen).expect("the placeholders are among the titles");
+    let mut point = columns.point(path, place, &row, number)?;
+    point.attributes = titles.iter().cloned().zip(own.iter().cloned()).collect();
+    // No spreadsheet wrote an apostrophe here.
+    if let Some(name) = columns.name.and_then(|column| own.get(column)).filter(|name| !name.is_empty()) {
+        point.gcp.name.clone_from(name);
+    }
+    (point.gcp.easting, point.gcp.northing) = (x, y);
+    told.roles.extend(columns.unclear_roles(&row));
+    told.notes.extend(columns.told_of_accuracies());
+    let title = columns.height.and_then(|at| titles.get(at)).cloned();
+    Ok((point, title))
+}
 
 /// The values of a feature as text, empty where none was set.
 pub(super) fn fields(feature: &Feature<'_>) -> Vec<String> {

@@ -6,11 +6,12 @@ use crate::gcp::angle::{Letter, angle, letter};
 use crate::gcp::marks::{Cell, Marks};
 use crate::gcp::packed::{self, Packed};
 use crate::gcp::raw::{ColumnOrder, RawList, RawPoint, Seen};
+use crate::gcp::roles::{self, Said};
 use crate::gcp::text::{self, Row};
 use crate::gcp::titles::{
     Axis, CHECKS, EASTINGS, ENABLED, HEIGHTS, LATITUDES, LETTER_PAIRS, LONGITUDES, NAMES, NORTHINGS, ROLES,
     SHORT_HEIGHTS, SHORT_SIGMA_HEIGHTS, SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS, directed, find,
-    find_height, find_likely_name, is_level_height, may_name, tidy,
+    find_height, find_likely_name, is_ellipsoidal_height, is_level_height, may_name, tidy,
 };
 use crate::gcp::units::{TitledUnits, Unit};
 use crate::gcp::{Gcp, GcpRole, heights};
@@ -110,7 +111,13 @@ fn columns_of(titles: Vec<String>, tidied: &[String], plan: Plan) -> Columns {
     // Tables with two sets of coordinates have a height beside each.
     let beside =
         || Some(easting.max(northing) + 1).filter(|&at| tidied.get(at).is_some_and(|title| is_level_height(title)));
-    let height = beside().or_else(|| find_height(tidied)).or_else(letters).filter(is_free);
+    // The height beside coordinates of a map is theirs.
+    let has_map = || Plan::of_words(tidied).or_else(|| Plan::of_letters(&titles, tidied)).is_some();
+    let above_ellipsoid = || {
+        Some(easting.max(northing) + 1)
+            .filter(|&at| geographic && tidied.get(at).is_some_and(|title| is_ellipsoidal_height(title)) && has_map())
+    };
+    let height = beside().or_else(above_ellipsoid).or_else(|| find_height(tidied)).or_else(letters).filter(is_free);
     let name = find(NAMES).filter(|i| is_free(i) && Some(*i) != height);
     // MicMac calls the name N, before X, Y and Z.
     let micmac = || tidied.iter().position(|title| title == "n").filter(|_| order == ColumnOrder::Assumed);
@@ -245,6 +252,15 @@ impl Columns {
             .collect()
     }
 
+    /// Columns of which a point holds all that they say.
+    fn carried(&self) -> impl Iterator<Item = usize> {
+        [Some(self.easting), Some(self.northing), self.name, self.height, self.role, self.check, self.enabled, self.crs]
+            .into_iter()
+            .chain(self.sigma)
+            .chain([self.sigma_height])
+            .flatten()
+    }
+
     /// Finds out what points and commas in the coordinates stand for; says what is not plain.
     pub(super) fn settle_marks(&mut self, path: &Path, rows: &[Row<'_>]) -> Result<Option<String>> {
         if self.geographic {
@@ -297,6 +313,7 @@ impl Columns {
 
     /// What the titles say of all points.
     pub(super) fn tell(&self, list: &mut RawList) {
+        list.read = self.carried().map(|column| self.titles[column].clone()).collect();
         list.order = self.order;
         list.titled_degrees = self.geographic;
         let title = |column: usize| self.titles[column].as_str();
@@ -425,6 +442,7 @@ impl<'a> TitledRow<'a> {
                 "`{text}` is rounded to {unit}, as spreadsheets show large numbers; give the {what} its decimals (format \
                  the cells as numbers and save again)"
             ))),
+            None if value > 0.0 && self.columns.is_backwards(column) => Ok(-value),
             None => Ok(value),
         }
     }
@@ -437,16 +455,17 @@ impl<'a> TitledRow<'a> {
             return Err(self.wrong(format!("the {what} {sigma} is negative; it is a standard deviation")));
         }
         let unit = self.columns.titles.get(column).and_then(|title| Unit::of_accuracy(title));
-        Ok((sigma > 0.0).then(|| sigma * unit.map_or(1.0, |unit| unit.metres)))
+        let unit_m = unit.map_or(1.0, |unit| unit.metres);
+        Ok((sigma > 0.0).then(|| sigma * unit_m / self.columns.sigmas(column)))
     }
 
     fn role(&self) -> GcpRole {
-        let said = |column: Option<usize>| column.and_then(|c| self.text(c)).map(str::to_lowercase);
-        let yes = |text: &str| matches!(text, "1" | "true" | "yes" | "y" | "x" | "ja" | "j" | "check");
-        let check = said(self.columns.role).is_some_and(|role| is_check(&role))
-            || said(self.columns.check).is_some_and(|text| yes(&text))
-            // A marker that is switched off in Metashape is a check point.
-            || said(self.columns.enabled).is_some_and(|text| matches!(text.as_str(), "0" | "false" | "no"));
+        let says = |column: Option<usize>, of: fn(&str) -> Said| {
+            column.and_then(|c| self.text(c)).is_some_and(|text| of(text) == Said::Role(GcpRole::Check))
+        };
+        let check = says(self.columns.role, roles::of_role)
+            || says(self.columns.check, roles::of_check)
+            || says(self.columns.enabled, roles::of_enabled);
         if check { GcpRole::Check } else { GcpRole::Control }
     }
 }
@@ -498,10 +517,4 @@ fn seen(attributes: &[(String, String)]) -> Vec<Seen> {
     let image = text("image").filter(|name| !name.is_empty()).map(str::to_owned);
     let at = value("pixel_x").zip(value("pixel_y")).map(|(x, y)| PixelPoint { x, y });
     at.map(|at| Seen { image, at }).into_iter().collect()
-}
-
-/// Words for a point that is kept out of the fit, as in Pix4D's and Metashape's lists.
-pub(super) fn is_check(role: &str) -> bool {
-    let role = role.to_lowercase().replace(['_', '-', ' '], "");
-    matches!(role.as_str(), "check" | "checkpoint" | "3dcheckpoint" | "cp" | "kontrollpunkt" | "kontroll")
 }

@@ -3,12 +3,14 @@
 //! Texts are names, never points: a text stands beside what it names, and a list of them would shift the image unseen.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::io::Read;
 use std::path::Path;
 
 use gdal::vector::{Feature, FieldValue, LayerAccess, OGRwkbGeometryType, geometry_type_flatten, geometry_type_has_z};
 
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
 use crate::gcp::titles::{NAMES, find, tidy};
+use crate::gcp::units::Unit;
 use crate::gcp::{Gcp, attributes, text};
 use autoref_raster::error::{Error, Result};
 
@@ -79,7 +81,31 @@ pub(super) fn read(path: &Path, layer: &mut impl LayerAccess, crs: CrsClaim, wan
     }
     let mut list = RawList::new(points, crs);
     list.notes = notes;
+    list.drawn_in = stated_unit(path);
     Ok(list)
+}
+
+/// The unit that the head of a drawing states (`$INSUNITS`, group 70). Templates leave millimetres and inches there.
+fn stated_unit(path: &Path) -> Option<Unit> {
+    const HEAD_BYTES: u64 = 1 << 20;
+    let mut head = Vec::new();
+    std::fs::File::open(path).ok()?.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
+    let head = String::from_utf8_lossy(&head);
+    let mut lines = head.lines().map(str::trim).skip_while(|line| *line != "$INSUNITS").skip(1);
+    if lines.next()? != "70" {
+        return None;
+    }
+    let word = match lines.next()? {
+        "1" => "inch",
+        "2" => "ft",
+        "4" => "mm",
+        "5" => "cm",
+        "6" => "m",
+        "7" => "km",
+        "21" => "us ft",
+        _ => return None,
+    };
+    Unit::of_word(word)
 }
 
 fn no_points(path: &Path, drawing: &Drawing) -> Error {

@@ -3,8 +3,9 @@
 use std::path::Path;
 
 use crate::gcp::angle::{Letter, angle, letter};
-use crate::gcp::columns::{Columns, is_check};
+use crate::gcp::columns::Columns;
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
+use crate::gcp::roles::is_check;
 use crate::gcp::text::{self, Line, Row, SEPARATORS, Separator, refuse_open_quote, split};
 use crate::gcp::{remarks, statistics};
 use autoref_raster::crs::Crs;
@@ -34,6 +35,9 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>], labels: Labels) -> Result<R
         })
         .expect("there are several");
     let mut table: Vec<Row<'_>> = rows.iter().map(|line| (*line, fields(line.text, separator))).collect();
+    if separator == Separator::Blanks {
+        table = with_thousands(path, table)?;
+    }
     for (line, _) in &table {
         refuse_open_quote(path, line)?;
     }
@@ -134,6 +138,42 @@ fn of_angles(path: &Path, rows: &[&Line<'_>]) -> Option<Result<RawList>> {
         list.notes.push(format!("{}: the letters N and E say which column is the latitude", path.display()));
         Ok(list)
     }))
+}
+
+/// Cells cut at blanks of which some are parts of numbers ("500 100,12"): whole again where two blanks or more stand
+/// between the columns.
+///
+/// # Errors
+/// [`Error::Format`] where single blanks stand between the columns too.
+fn with_thousands<'a>(path: &Path, table: Vec<Row<'a>>) -> Result<Vec<Row<'a>>> {
+    if !table.iter().all(|(_, cells)| has_thousands(cells)) {
+        return Ok(table);
+    }
+    let wide = |line: &'a Line<'a>| (line, text::at_wide_gaps(line.text));
+    let cut: Vec<Row<'a>> = table.iter().map(|(line, _)| wide(line)).collect();
+    let is_number = |cell: &String| !cell.contains(' ') || text::number(cell).is_some();
+    if cut.iter().all(|(_, cells)| cells.len() > 2 && cells.iter().skip(1).all(is_number)) {
+        return Ok(cut);
+    }
+    let what =
+        "blanks stand between the columns and between the thousands of numbers; put semicolons between the columns";
+    Err(Error::format(path, table.first().map_or("row 1".into(), |(line, _)| line.place()), what))
+}
+
+/// Whether two numbers or more of a row seem to be put together of groups of three digits, the last with decimals.
+fn has_thousands(cells: &[String]) -> bool {
+    let is_whole = |cell: &str, longest: usize| cell.len() <= longest && cell.bytes().all(|b| b.is_ascii_digit());
+    let is_group = |cell: &str| cell.len() == 3 && is_whole(cell, 3);
+    let (mut found, mut at) = (0, 1);
+    while at + 1 < cells.len() {
+        let first = &cells[at];
+        let groups = cells[at + 1..].iter().take_while(|cell| is_group(cell)).count();
+        let last = cells.get(at + 1 + groups).and_then(|cell| cell.split_once(['.', ',']));
+        let is_number = !first.is_empty() && is_whole(first, 3) && last.is_some_and(|(whole, _)| is_group(whole));
+        found += usize::from(is_number);
+        at += if is_number { groups + 2 } else { 1 };
+    }
+    found > 1
 }
 
 /// Takes away the columns in which no row has anything; returns which are left.
@@ -257,9 +297,29 @@ impl Shape {
         let named = table.iter().all(|(_, fields)| fields.get(behind).is_some_and(is_name));
         match self.numbers {
             0..=2 => false,
-            3 => running && (!all_whole || small) && !named,
+            3 => running && (!all_whole || small) && (!named || Shape::runs(table)),
             _ => running,
         }
+    }
+
+    /// Whether the first column counts upwards in small whole numbers, beside two of decimals: what stands behind them
+    /// is a code.
+    fn runs(table: &[Row<'_>]) -> bool {
+        const MOST: u32 = 9_999;
+        let has_decimals = |field: Option<&String>| field.is_some_and(|f| f.contains(['.', ',']));
+        let numbers: Vec<u32> = table.iter().filter_map(|(_, fields)| fields.first()?.parse().ok()).collect();
+        table.len() > 1
+            && numbers.len() == table.len()
+            && numbers.windows(2).all(|pair| pair[0] < pair[1])
+            && numbers.iter().all(|number| *number <= MOST)
+            && table.iter().all(|(_, fields)| (1..3).all(|at| has_decimals(fields.get(at))))
+    }
+
+    /// Whole numbers of metres are no accuracies but codes.
+    fn is_code(at: usize, table: &[Row<'_>]) -> bool {
+        let is_whole = |field: &String| !field.is_empty() && field.bytes().all(|b| b.is_ascii_digit());
+        table.iter().all(|(_, fields)| fields.get(at).is_some_and(is_whole))
+            && table.iter().any(|(_, fields)| fields.get(at).is_some_and(|field| field.bytes().any(|b| b != b'0')))
     }
 
     /// Three columns behind a height are no accuracies but colours, when all their numbers are whole and some large.
@@ -284,7 +344,10 @@ impl Shape {
             .filter(|at| !used.contains(at))
             .map(|at| (kept[at] + 1).to_string())
             .collect();
-        (!left.is_empty()).then(|| format!("there is no header, and column {} was not used", left.join(", ")))
+        (!left.is_empty()).then(|| {
+            let columns = left.join(", ");
+            format!("there is no header, and column {columns} was not used; titles say what columns hold")
+        })
     }
 
     /// How many small whole numbers (a zone, a code) stand before two that alone can be coordinates; before coordinates
@@ -326,6 +389,7 @@ impl Shape {
         let extra = |i: usize| (left > i).then_some(first + i);
         let (sigma, sigma_height) = match left {
             6 if self.has_colours(left, table) => ([None; 2], None),
+            4 | 5 if (3..left).all(|at| Shape::is_code(first + at, table)) => ([None; 2], None),
             6.. => ([extra(3), extra(4)], extra(5)),
             _ => ([extra(3), None], extra(4)),
         };

@@ -32,10 +32,26 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
                 format!("`{}` is no coordinate record: name, northing, easting and height are expected", line.trim()),
             )
         })?;
+        if let Some(height) = gcp.height.filter(|height| height.abs() >= NO_HEIGHT) {
+            let what = format!(
+                "{height} can be no height: of `{}` the columns are others than they seem; keep to those of KOF, or put \
+                 the theme code behind the height",
+                line.trim()
+            );
+            return Err(Error::format(path, format!("row {row}"), what));
+        }
         points.push(RawPoint::bare(gcp, format!("row {row}")));
     }
     Ok(RawList::new(points, CrsClaim::None))
 }
+
+/// Higher than any ground, in feet too.
+const NO_HEIGHT: f64 = 100_000.0;
+/// No coordinate of a map's northing or easting is smaller.
+const SMALLEST_COORDINATE: f64 = 10_000.0;
+
+/// Codes of themes have four digits, and up to seven.
+const LARGEST_CODE: f64 = 10_000_000.0;
 
 fn record_type(line: &str) -> Option<&str> {
     line.split_whitespace().next()
@@ -65,6 +81,15 @@ fn at_blanks(line: &str) -> Option<Gcp> {
     let fields: Vec<&str> = line.split_whitespace().collect();
     let (name, coordinates) = match fields.as_slice() {
         [_, name, north, east] => (name, [Some(*north), Some(*east), None]),
+        // A theme code, and no height.
+        [_, name, theme, north, east] if is_code(theme) && is_coordinate(north) && is_coordinate(east) => {
+            (name, [Some(*north), Some(*east), None])
+        }
+        [_, name, north, east, height, ..]
+            if is_coordinate(north) && is_coordinate(east) && north.contains(['.', ',']) =>
+        {
+            (name, [Some(*north), Some(*east), Some(*height)])
+        }
         [_, name, north, east, height] => (name, [Some(*north), Some(*east), Some(*height)]),
         [_, name, _theme, north, east, height, ..] => (name, [Some(*north), Some(*east), Some(*height)]),
         _ => return None,
@@ -75,6 +100,15 @@ fn at_blanks(line: &str) -> Option<Gcp> {
         None => None,
     };
     Some(Gcp { height, ..Gcp::control(*name, number(east?)?, number(north?)?) })
+}
+
+/// A whole number of a theme.
+fn is_code(text: &str) -> bool {
+    text.bytes().all(|b| b.is_ascii_digit()) && number(text).is_some_and(|code| code < LARGEST_CODE)
+}
+
+fn is_coordinate(text: &str) -> bool {
+    number(text).is_some_and(|value| value.abs() >= SMALLEST_COORDINATE)
 }
 
 #[cfg(test)]
@@ -98,6 +132,23 @@ mod tests {
     fn blanks_as_in_the_thesis() {
         let found = points("1 P1 7032516.8044 570406.8605 80.3184\n2 P2 7032503.4822 570413.3669 80.1282\n");
         assert_eq!((found[1].easting, found[1].northing), (570413.3669, 7032503.4822));
+    }
+
+    #[test]
+    fn a_theme_code_without_a_height_is_no_northing() {
+        for line in [
+            "05 P1         7002      7032516.800  570406.900",
+            "05 P1 7002 7032516.800 570406.900",
+            "05 P1 6100000 7032516.800 570406.900",
+            "05 P1 7002 7032516.800 570406.900 80.3",
+            "1 P1 7032516.800 570406.900 80.3 7002",
+        ] {
+            let gcp = &points(line)[0];
+            assert_eq!((gcp.northing, gcp.easting), (7032516.8, 570406.9), "{line}");
+            assert!(gcp.height.is_none_or(|height| height == 80.3), "{line}");
+        }
+        let error = parse(Path::new("a.kof"), "05 P1 86 7032516.8 570406.9\n05 P2 7002.5 7032516.8 570406.9\n");
+        assert!(error.err().expect("no height").to_string().contains("row 2"));
     }
 
     #[test]

@@ -21,6 +21,11 @@ impl TitledUnits {
         crs: Option<&Crs>,
         notes: &mut Vec<String>,
     ) -> Result<()> {
+        if let Some(title) = &self.unclear {
+            let what =
+                format!("`{title}` names two units; write the one that its numbers are in, as in `Elevation (US ft)`");
+            return Err(Error::format(path, "the header", what));
+        }
         let plan = self.plan_unit(path)?;
         let height_unit_m = match crs {
             Some(crs) => {
@@ -88,6 +93,62 @@ impl TitledUnits {
             None => Ok(()),
         }
     }
+}
+
+/// Brings the points of a drawing out of the unit that its head states, where that is certain: by the place, else where
+/// no template of a drawing has that unit.
+///
+/// # Errors
+/// [`Error::Format`] for feet of no certain kind under a CRS in metres.
+pub(super) fn of_drawing(
+    path: &Path,
+    points: &mut [RawPoint],
+    (crs, unit): (Option<&Crs>, Option<Unit>),
+    notes: &mut Vec<String>,
+) -> Result<()> {
+    let Some(unit) = unit.filter(|unit| !unit.is(1.0) || crs.is_some_and(|crs| crs.metres_per_unit() != 1.0)) else {
+        return Ok(());
+    };
+    let crs = crs.filter(|crs| !crs.is_local());
+    let unit_m = crs.map_or(1.0, Crs::metres_per_unit);
+    if crs.is_some_and(|crs| crs.is_geographic() || unit.is(unit_m)) {
+        return Ok(());
+    }
+    let by = unit.metres / unit_m;
+    let lie = |by: f64| {
+        crs.map(|crs| points.iter().all(|p| crs.covers(p.gcp.easting * by, p.gcp.northing * by) == Some(true)))
+    };
+    let is_of_templates = ["millimetres", "inches"].contains(&unit.name);
+    match (lie(1.0), lie(by)) {
+        (None, _) if is_of_templates => {
+            notes.push(format!(
+                "{}: its head says {} ($INSUNITS), as templates leave there: coordinates are taken as metres; where they \
+                 are not, scale the drawing by {by}",
+                path.display(),
+                unit.name
+            ));
+            return Ok(());
+        }
+        (None, _) | (Some(false), Some(true)) => {}
+        _ => return Ok(()),
+    }
+    if crs.is_some() && !unit.is_certain() {
+        let what = "its head says feet of no certain kind ($INSUNITS 2), but its CRS counts in metres; set the drawing's \
+                    unit to US survey feet, scale it to metres, or give the --crs that counts in feet";
+        return Err(Error::format(path, "the drawing", what));
+    }
+    let height_unit_m = crs.map_or(1.0, |crs| crs.height_metres_per_unit().unwrap_or(unit_m));
+    for RawPoint { gcp, .. } in points.iter_mut() {
+        (gcp.easting, gcp.northing) = (gcp.easting * by, gcp.northing * by);
+        gcp.height = gcp.height.map(|height| height * unit.metres / height_unit_m);
+    }
+    let to = if unit_m == 1.0 { "metres" } else { "the unit of its CRS" };
+    notes.push(format!(
+        "{}: its head says {} ($INSUNITS): coordinates were brought to {to}",
+        path.display(),
+        unit.name
+    ));
+    Ok(())
 }
 
 /// Whether it is a map in metres.

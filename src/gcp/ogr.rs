@@ -8,14 +8,11 @@ use std::path::{Path, PathBuf};
 use gdal::vector::{Feature, Geometry, LayerAccess, OGRwkbGeometryType, geometry_type_flatten, geometry_type_has_z};
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 
-use crate::gcp::attributes::fields;
+use crate::gcp::attributes::{self, Told};
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
-use crate::gcp::{Gcp, columns, dxf, sheet, titles as known_titles};
+use crate::gcp::{dxf, sheet};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
-
-/// Titles without which a table has no points; OGR has the coordinates of geometries itself.
-const PLACEHOLDERS: [&str; 2] = ["easting", "northing"];
 
 pub(super) fn parse(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     autoref_raster::initialise_gdal(0);
@@ -80,13 +77,14 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     if layer.defn().geometry_type() == OGRwkbGeometryType::wkbNone {
         return sheet::parse(path, &mut layer, titles_of_sheets);
     }
-    let titled = titles.into_iter().chain(PLACEHOLDERS.map(str::to_string)).collect::<Vec<_>>();
     let (mut points, mut without) = (Vec::new(), Vec::new());
+    let mut told = Told::default();
     for (i, feature) in layer.features().enumerate() {
         match feature.geometry() {
             // GDAL hands out one without a name where there is none.
             Some(geometry) if !geometry.geometry_name().is_empty() => {
-                let mut point = point(path, i + 1, &feature, geometry, &titled)?;
+                let (mut point, title) = point(path, i + 1, &feature, geometry, &titles, &mut told)?;
+                told.height(&point, title);
                 point.attributes.retain(|(title, _)| !columns_of_driver(&driver).contains(&title.as_str()));
                 points.push(point);
             }
@@ -94,6 +92,7 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
         }
     }
     let mut list = RawList::new(points, crs);
+    told.tell(path, &mut list);
     if !without.is_empty() {
         list.notes.push(format!("{}: passed over, without a geometry: feature {}", path.display(), without.join(", ")));
     }
@@ -155,7 +154,8 @@ fn point(
     feature: &Feature<'_>,
     geometry: &Geometry,
     titles: &[String],
-) -> Result<RawPoint> {
+    told: &mut Told,
+) -> Result<(RawPoint, Option<String>)> {
     let place = format!("feature {number}");
     let kind = geometry_type_flatten(geometry.geometry_type());
     let (x, y, z) = match kind {
@@ -170,26 +170,13 @@ fn point(
             ));
         }
     };
-    // The attributes go through the same reading as a table's, with the geometry for the coordinates.
-    let own = fields(feature);
-    let row: Vec<String> = own.iter().cloned().chain([x.to_string(), y.to_string()]).collect();
-    let mut titles = titles.to_vec();
-    // Columns that repeat the coordinates must not win over the geometry.
-    for (i, title) in titles.iter_mut().enumerate().take(own.len()) {
-        if known_titles::is_coordinate(title) {
-            *title = format!("attribute {i}");
-        }
+    let own = attributes::fields(feature);
+    let (mut point, title) = attributes::point(path, place, (titles, &own), (x, y), &number.to_string(), told)?;
+    if !geometry_type_has_z(geometry.geometry_type()) {
+        return Ok((point, title));
     }
-    let columns = columns::columns(titles).expect("the placeholders are among the titles");
-    let mut point = columns.point(path, place, &row, &number.to_string())?;
-    point.attributes.truncate(own.len());
-    // No spreadsheet wrote an apostrophe here.
-    if let Some(name) = columns.name.and_then(|column| own.get(column)).filter(|name| !name.is_empty()) {
-        point.gcp.name.clone_from(name);
-    }
-    let height = geometry_type_has_z(geometry.geometry_type()).then_some(z);
-    point.gcp = Gcp { easting: x, northing: y, height: height.or(point.gcp.height), ..point.gcp };
-    Ok(point)
+    point.gcp.height = Some(z);
+    Ok((point, None))
 }
 
 #[cfg(test)]

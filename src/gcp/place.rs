@@ -272,7 +272,11 @@ pub(super) fn refuse_elsewhere(
     }
     let how = inside_otherwise(points, crs, image);
     // To keep feet where they lie as metres would help nobody.
-    let remedy = if how.as_deref() == Some(MILLIMETRES) {
+    let is_drawing = path.extension().is_some_and(|end| end.eq_ignore_ascii_case("dxf"));
+    let is_of_other_unit = [MILLIMETRES, FEET].iter().any(|unit| how.as_deref() == Some(*unit));
+    let remedy = if is_drawing && is_of_other_unit {
+        "scale the drawing to metres, or set its unit ($INSUNITS)".to_owned()
+    } else if how.as_deref() == Some(MILLIMETRES) {
         "call the columns `Easting (mm)` and `Northing (mm)`".to_owned()
     } else if how.as_deref() == Some(MINUS) {
         "write both with a minus sign".to_owned()

@@ -8,8 +8,8 @@
 
 use std::path::Path;
 
-use crate::gcp::columns::is_check;
 use crate::gcp::raw::{CrsClaim, RawList, RawPoint, Seen};
+use crate::gcp::roles::is_check;
 use crate::gcp::text::{Line, Separator, number, split};
 use crate::gcp::{Gcp, GcpRole};
 use autoref_raster::coords::PixelPoint;

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::gcp::Gcp;
-use crate::gcp::units::TitledUnits;
+use crate::gcp::units::{TitledUnits, Unit};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::Error;
@@ -81,6 +81,10 @@ pub(super) struct RawList {
     /// The same points by other columns of theirs: coordinates of a map beside degrees, or the other way round.
     pub beside: Option<Box<RawList>>,
     pub units: TitledUnits,
+    /// What the head of a drawing says that it counts in.
+    pub drawn_in: Option<Unit>,
+    /// Titles of columns that became parts of the points.
+    pub read: Vec<String>,
     /// Rows that are no points, in plain words.
     pub set_aside: Option<String>,
     pub notes: Vec<String>,
@@ -98,6 +102,8 @@ impl RawList {
             open_mark: None,
             beside: None,
             units: TitledUnits::default(),
+            drawn_in: None,
+            read: Vec::new(),
             set_aside: None,
             notes: Vec::new(),
         }

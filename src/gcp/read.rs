@@ -11,7 +11,7 @@ use crate::gcp::order::{self, Shown};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
 use crate::gcp::working_crs::WorkingCrs;
-use crate::gcp::{Gcp, GcpRole, accuracy_list, heights, image_crs, place, recognise, working_crs};
+use crate::gcp::{Gcp, GcpRole, accuracy_list, heights, image_crs, metres, place, recognise, working_crs};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::words::counted;
@@ -128,7 +128,7 @@ fn titles_of_degrees(path: &Path, crs: &Crs) -> Error {
 
 fn finish(path: &Path, mut raw: RawList, options: &GcpOptions) -> Result<GcpList> {
     raw = by_the_crs(path, raw, options.crs.as_deref())?;
-    let units = std::mem::take(&mut raw.units);
+    let (units, drawn_in) = (std::mem::take(&mut raw.units), raw.drawn_in);
     raw.notes.extend(raw.set_aside.take());
     let target = options.to_crs.as_deref().map(Crs::parse).transpose()?;
     let shown = Shown { target: target.as_ref(), image: options.image.as_ref() };
@@ -140,6 +140,7 @@ fn finish(path: &Path, mut raw: RawList, options: &GcpOptions) -> Result<GcpList
     if let Some(crs) = &source {
         refuse_no_degrees(path, &points, crs)?;
     }
+    metres::of_drawing(path, &mut points, (source.as_ref(), drawn_in), &mut notes)?;
     units.apply(path, &mut points, source.as_ref(), &mut notes)?;
     place::check(path, &mut points, (source.as_ref(), target.as_ref()), options, &mut notes)?;
     let gcps = choose(path, points, options)?;

@@ -112,7 +112,7 @@ pub(super) fn take_units(columns: &mut Columns, rows: &mut Vec<Row<'_>>) -> Opti
     let note = format!("{} holds the units of the columns", line.place());
     for (column, unit) in units {
         let title = columns.titles[column].trim();
-        columns.titles[column] = format!("{} ({unit})", title.split(['[', '(']).next().unwrap_or_default().trim());
+        columns.titles[column] = format!("{title} ({unit})");
     }
     rows.remove(0);
     Some(note)

@@ -196,6 +196,12 @@ pub(super) fn split(line: &str, separator: Separator) -> Vec<String> {
         .unwrap_or_default()
 }
 
+/// Cut at tabs and at two or more blanks.
+pub(super) fn at_wide_gaps(text: &str) -> Vec<String> {
+    let parts = text.split('\t').flat_map(|part| part.split("  "));
+    parts.map(|part| part.trim().trim_matches('"').to_owned()).filter(|part| !part.is_empty()).collect()
+}
+
 /// A number as people write it: decimal point or comma, blanks, apostrophes, points or commas between thousands.
 ///
 /// A single comma or point is the decimal one; of two kinds the last.

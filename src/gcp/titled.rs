@@ -1,11 +1,13 @@
 //! Tables with a header: the columns stand in any order, under the titles that surveyors use.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use crate::gcp::columns::{Columns, columns};
-use crate::gcp::raw::{CrsClaim, RawList, RawPoint};
+use crate::gcp::raw::{CrsClaim, RawList};
 use crate::gcp::text::{Line, Row, SEPARATORS, Separator, number, refuse_more_cells, refuse_open_quote, split};
-use crate::gcp::{remarks, statistics};
+use crate::gcp::titles::tidy;
+use crate::gcp::{remarks, said_of_columns, statistics, title_cells};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 
@@ -28,9 +30,18 @@ fn header(lines: &[Line<'_>]) -> Option<(usize, Separator, Columns)> {
             let titles = split(titles, separator);
             // "n é 500000.25 4649000.5" is a point's name before its place.
             let coordinates = titles.iter().filter(|title| is_place(title)).count();
-            Some((at, separator, columns(titles).filter(|_| coordinates < 2)?))
+            let columns = columns(titles).filter(|_| coordinates < 2)?;
+            let is_prose = || {
+                let rows = rows_below(&lines[at + 1..], separator);
+                separator == Separator::Blanks && !title_cells::are_titles(line, &columns, &rows)
+            };
+            (!is_prose()).then_some((at, separator, columns))
         })
     })
+}
+
+fn rows_below<'a>(lines: &'a [Line<'a>], separator: Separator) -> Vec<Row<'a>> {
+    lines.iter().filter(|line| !line.is_comment()).map(|line| (line, split(line.text, separator))).collect()
 }
 
 /// Whether a cell is a coordinate rather than a title of digits, as a year is.
@@ -40,6 +51,8 @@ fn is_place(cell: &str) -> bool {
 }
 
 fn with_header(path: &Path, lines: &[Line<'_>], at: usize, separator: Separator, columns: Columns) -> Result<RawList> {
+    let below = rows_below(&lines[at + 1..], separator);
+    let columns = title_cells::settled(path, &lines[at], &columns, separator, &below)?.unwrap_or(columns);
     // Of two sets of coordinates the CRS that is given may mean the other; one that cannot be read is none.
     let beside = columns.other().and_then(|other| with_columns(path, lines, at, separator, other).ok());
     let mut list = with_columns(path, lines, at, separator, columns)?;
@@ -58,11 +71,7 @@ fn with_columns(
         let what = format!("two columns are called `{title}`; remove or rename the one that is not meant");
         return Err(Error::format(path, lines[at].place(), what));
     }
-    let mut rows: Vec<Row<'_>> = lines[at + 1..]
-        .iter()
-        .filter(|line| !line.is_comment())
-        .map(|line| (line, split(line.text, separator)))
-        .collect();
+    let mut rows = rows_below(&lines[at + 1..], separator);
     for row in &rows {
         refuse_open_quote(path, row.0)?;
         refuse_more_cells(path, row, columns.titles.len(), separator)?;
@@ -71,18 +80,31 @@ fn with_columns(
     let of_marks = columns.settle_marks(path, &rows)?;
     let statistics = statistics::set_aside(&columns, &mut rows);
     let guessed = columns.guess_name(&rows);
-    let mut points = Vec::new();
+    let (mut points, mut unclear_roles) = (Vec::new(), BTreeSet::new());
     for (line, fields) in &rows {
+        unclear_roles.extend(columns.unclear_roles(fields));
         points.push(columns.point(path, line.place(), fields, &(points.len() + 1).to_string())?);
     }
-    let (crs, of_system) = stated_system(path, lines, at, (&columns, &rows), points.first())?;
+    let (crs, of_system) = stated_system(path, lines, at, (&columns, &rows))?;
     let mut list = RawList::new(points, crs);
     columns.tell(&mut list);
     list.open_mark = columns.open_mark(&rows);
     let skipped = lines[..at].iter().find(|line| !line.is_comment());
     let above = skipped.map(|line| format!("row {} and what is above the header was passed over", line.row));
     let of_angles = columns.told_of_angles(&rows);
-    let notes = [of_units, of_marks, of_angles, guessed, statistics.doubt, of_system, columns.unclear(), above];
+    let notes = [
+        of_units,
+        of_marks,
+        of_angles,
+        columns.told_of_hemispheres(),
+        columns.told_of_accuracies(),
+        said_of_columns::of_roles(&unclear_roles),
+        guessed,
+        statistics.doubt,
+        of_system,
+        columns.unclear(),
+        above,
+    ];
     let notes = notes.into_iter().flatten();
     list.notes.extend(notes.map(|what| format!("{}: {what}", path.display())));
     list.set_aside = statistics.aside.map(|what| format!("{}: {what}", path.display()));
@@ -96,17 +118,16 @@ fn stated_system(
     lines: &[Line<'_>],
     header: usize,
     (columns, rows): (&Columns, &[Row<'_>]),
-    first: Option<&RawPoint>,
 ) -> Result<(CrsClaim, Option<String>)> {
     let stated = coordinate_system_comment(path, &lines[..header])?;
     if !matches!(stated, CrsClaim::None) {
         return Ok((stated, None));
     }
-    if let (Some(column), Some(point)) = (columns.crs, first)
-        && let Some((_, definition)) = point.attributes.get(column).filter(|(_, text)| !text.trim().is_empty())
-    {
-        return Ok((CrsClaim::read(path, point.place.clone(), definition), None));
+    let named = columns.crs.and_then(|column| named_in_rows(path, column, rows));
+    if let Some(claim) = named {
+        return Ok((claim, None));
     }
+    refuse_zones(path, columns, rows)?;
     let otherwise = || match columns.geographic {
         true => Ok(CrsClaim::Known(Crs::from_epsg(4326)?)),
         false => Ok(CrsClaim::None),
@@ -125,6 +146,52 @@ fn stated_system(
     })
 }
 
+/// The system that a column names in all rows that name one; `None` where none does.
+fn named_in_rows(path: &Path, column: usize, rows: &[Row<'_>]) -> Option<CrsClaim> {
+    let named = rows.iter().filter_map(|(line, cells)| Some((line, cells.get(column)?.trim())));
+    let mut named = named.filter(|(_, text)| !text.is_empty());
+    let (first, definition) = named.next()?;
+    let claim = CrsClaim::read(path, first.place(), definition);
+    let is_same = |text: &str| match &claim {
+        _ if text == definition => true,
+        CrsClaim::Known(crs) => Crs::parse(text).is_ok_and(|other| other == *crs),
+        _ => true,
+    };
+    let Some((line, other)) = named.find(|(_, text)| !is_same(text)) else { return Some(claim) };
+    let what = format!(
+        "it names `{other}` for its CRS, and {} `{definition}`; give a list for each, or --crs where one is wrong",
+        first.place()
+    );
+    Some(CrsClaim::Unclear(Error::format(path, line.place(), what)))
+}
+
+/// Rows of two zones are of two systems.
+fn refuse_zones(path: &Path, columns: &Columns, rows: &[Row<'_>]) -> Result<()> {
+    const TITLES: [&str; 6] = ["zone", "utm zone", "utmzone", "utm", "sone", "zona"];
+    let is_zone = |text: &str| {
+        let number = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+        text.len() - number.len() == 1 && number.parse::<u8>().is_ok_and(|zone| (1..=60).contains(&zone))
+    };
+    let Some(column) = columns.titles.iter().position(|title| TITLES.contains(&tidy(title).as_str())) else {
+        return Ok(());
+    };
+    let zones: Vec<(String, &str)> = rows
+        .iter()
+        .filter_map(|(line, cells)| Some((line.place(), cells.get(column)?.trim())))
+        .filter(|(_, zone)| !zone.is_empty())
+        .collect();
+    let number = |zone: &str| zone.trim_end_matches(|c: char| c.is_ascii_alphabetic()).to_owned();
+    let Some((first, zone)) = zones.first().filter(|_| !columns.geographic) else { return Ok(()) };
+    match zones.iter().find(|(_, other)| number(other) != number(zone)) {
+        Some((place, other)) if zones.iter().all(|(_, zone)| is_zone(zone)) => {
+            let what =
+                format!("its coordinates are of zone {other}, those of {first} of zone {zone}; give a list for each");
+            Err(Error::format(path, place.clone(), what))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Metashape writes "#CoordinateSystem: WKT" above its header.
 fn coordinate_system_comment(path: &Path, lines: &[Line<'_>]) -> Result<CrsClaim> {
     for line in lines.iter().filter(|line| line.is_comment()) {
@@ -141,6 +208,7 @@ fn coordinate_system_comment(path: &Path, lines: &[Line<'_>]) -> Result<CrsClaim
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gcp::text;
 
     #[test]
     fn a_row_whose_name_reads_as_titles_is_no_header() {
@@ -148,5 +216,24 @@ mod tests {
         assert!(!is_header("n é\t500000.25\t4649000.5\t100.5"));
         assert!(!is_header("N E 500000 4649000"));
         assert!(is_header("name\tn\té\t2019\t2020"));
+    }
+
+    #[test]
+    fn a_remark_in_prose_is_no_header() {
+        let rows = "P1 500100.1 6600200.2 10.1\nP2 500200.1 6600300.2 11.1\n";
+        let is_header = |first: &str| header(&text::lines(&format!("{first}\n{rows}"))).is_some();
+        for remark in [
+            "# Site: North East quarter",
+            "GCP north east survey",
+            "# Station East gate, North field",
+            "# points to the north and the east of the bridge",
+        ] {
+            assert!(!is_header(remark), "{remark}");
+        }
+        for titles in
+            ["# name east north height", "name E N H", "Pt code E N", "Point ID East North Height", "# GCP E N"]
+        {
+            assert!(is_header(titles), "{titles}");
+        }
     }
 }

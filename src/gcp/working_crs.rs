@@ -66,7 +66,9 @@ impl Bend {
     pub fn explains(&self, rmse_m: f64) -> bool {
         const LEAST_M: f64 = 0.003;
         const LEAST_SHARE: f64 = 0.5;
-        self.rms_m > LEAST_M && self.rms_m > LEAST_SHARE * rmse_m
+        // A bend that the image itself has leaves no residuals.
+        const MOST_SHARE: f64 = 2.0;
+        self.rms_m > LEAST_M && self.rms_m > LEAST_SHARE * rmse_m && self.rms_m < MOST_SHARE * rmse_m
     }
 
     /// The cause in a line, and the remedy.
@@ -159,7 +161,10 @@ impl WorkingCrs {
                 fit_crs.title(),
                 fit_crs.unit_name(),
                 fit_crs.unit_name(),
-                if fit_crs.height_metres_per_unit().is_none() { "; heights are taken to be in the same unit" } else { "" }
+                match fit_crs.height_metres_per_unit() {
+                    None if of_heights(&source, &fit_crs) == 1.0 => "; heights are taken to be in the same unit",
+                    _ => "",
+                }
             ));
         }
         for gcp in gcps.iter_mut() {
@@ -202,6 +207,8 @@ impl WorkingCrs {
         }
         if let (Some(from), Some(to)) = (&self.crs, &self.to) {
             transform(from, points, to, self.worst_accuracy_m)?;
+            let factor = of_heights(from, to);
+            points.iter_mut().for_each(|point| point.height = point.height.map(|h| h * factor));
         }
         Ok(())
     }
@@ -293,6 +300,15 @@ pub(super) fn transform(from: &Crs, points: &mut [Coordinate], to: &Crs, worst_a
     })
 }
 
+/// What heights are multiplied by from one system to another where PROJ leaves them as they are, since not both have a
+/// vertical axis: heights without one count in the unit of the map, those beside degrees in metres.
+fn of_heights(from: &Crs, to: &Crs) -> f64 {
+    let unit_m = |crs: &Crs| crs.height_metres_per_unit().unwrap_or_else(|| crs.metres_per_unit());
+    let are_changed = from.height_metres_per_unit().is_some() && to.height_metres_per_unit().is_some();
+    let factor = unit_m(from) / unit_m(to);
+    if are_changed || from.is_local() || to.is_local() || (factor - 1.0).abs() < 1e-12 { 1.0 } else { factor }
+}
+
 /// Brings points from one CRS into another, in place; says in `notes` what a change of datum costs.
 ///
 /// # Errors
@@ -319,11 +335,20 @@ pub(super) fn change(
             ));
         }
         (Some(_), None) if heights => notes.push(format!(
-            "heights stay as they are, in the vertical system of {}: {} has none",
+            "heights stay {}in the vertical system of {}: {} has none",
+            if of_heights(source, target) == 1.0 { "as they are, " } else { "" },
             source.title(),
             target.title()
         )),
         _ => {}
+    }
+    let height_factor = of_heights(source, target);
+    if heights && height_factor != 1.0 {
+        notes.push(format!(
+            "heights were brought from the unit of {} into that of {}: multiplied by {height_factor:.9}",
+            source.title(),
+            target.title()
+        ));
     }
     let mut points: Vec<Coordinate> =
         gcps.iter().map(|g| Coordinate { x: g.easting, y: g.northing, height: g.height }).collect();
@@ -342,7 +367,7 @@ pub(super) fn change(
         )),
     }
     for (gcp, point) in gcps.iter_mut().zip(points) {
-        (gcp.easting, gcp.northing, gcp.height) = (point.x, point.y, point.height);
+        (gcp.easting, gcp.northing, gcp.height) = (point.x, point.y, point.height.map(|h| h * height_factor));
     }
     Ok(())
 }
@@ -369,4 +394,34 @@ fn nearest_affine(pixels: &[PixelPoint], points: &[Coordinate], size_px: (f64, f
     }
     let [g1, g2, g4, g5] = [sums[0] / xx, sums[1] / yy, sums[2] / xx, sums[3] / yy];
     Some(GeoTransform([mx - g1 * cx - g2 * cy, g1, g2, my - g4 * cx - g5 * cy, g4, g5]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bend_explains_residuals_of_its_size_only() {
+        let bend = Bend { rms_m: 0.2, points: "EPSG:3857".into(), fit: "EPSG:25832".into() };
+        for (rmse_m, explains) in [(0.002, false), (0.09, false), (0.15, true), (0.35, true), (1.0, false)] {
+            assert_eq!(bend.explains(rmse_m), explains, "{rmse_m}");
+        }
+    }
+
+    #[test]
+    fn heights_count_in_metres_beside_degrees() {
+        let crs = |text: &str| Crs::parse(text).expect(text);
+        let us_foot = 1200.0 / 3937.0;
+        for (from, to, factor) in [
+            ("EPSG:2278", "EPSG:26914", us_foot),
+            ("EPSG:26914", "EPSG:2278", 1.0 / us_foot),
+            ("EPSG:4269", "EPSG:2278", 1.0 / us_foot),
+            ("EPSG:4979", "EPSG:2278", 1.0 / us_foot),
+            ("EPSG:2278", "EPSG:4326", us_foot),
+            ("EPSG:25832", "EPSG:25833", 1.0),
+            ("EPSG:4269+5703", "EPSG:2278+6360", 1.0),
+        ] {
+            assert!((of_heights(&crs(from), &crs(to)) - factor).abs() < 1e-9, "{from} to {to}");
+        }
+    }
 }

@@ -114,3 +114,34 @@ fn texts_alone_are_no_list() {
     let error = read(&texts("NAMES", (0.0, 0.0), str::to_string), None).expect_err("no points");
     assert!(error.contains("l.dxf") && error.contains("texts") && error.contains("table"), "{error}");
 }
+
+#[test]
+fn the_unit_of_the_head_counts_where_the_place_shows_it() {
+    let read = |unit: &str, crs: &str, by: f64| {
+        let entities: String = POINTS
+            .iter()
+            .map(|(_, x, y)| entity("POINT", "GCP", (x * by, y * by), "").replace("100.5", "100"))
+            .collect();
+        let head = format!("$ACADVER\n1\nAC1009\n9\n$INSUNITS\n70\n{unit}\n");
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("l.dxf");
+        std::fs::write(&path, drawing(&entities).replace("$ACADVER\n1\nAC1009\n", &head)).expect("writable");
+        gcp::read(&path, &GcpOptions { crs: Some(crs.into()), ..GcpOptions::default() }).map_err(|e| e.to_string())
+    };
+    for (unit, by, height) in [("4", 1000.0, 0.1), ("5", 100.0, 1.0), ("21", 3937.0 / 1200.0, 100.0 * 1200.0 / 3937.0)]
+    {
+        let list = read(unit, "EPSG:25832", by).unwrap_or_else(|e| panic!("{unit}: {e}"));
+        assert!((list.gcps[0].easting - POINTS[0].1).abs() < 1e-6, "{unit}: {:?}", list.gcps[0]);
+        assert!((list.gcps[0].height.expect("one") - height).abs() < 1e-9, "{unit}: {:?}", list.gcps[0]);
+        assert!(list.notes.iter().any(|note| note.contains("$INSUNITS")), "{:?}", list.notes);
+        // What templates leave in the head says nothing of coordinates that lie where they should.
+        let plain = read(unit, "EPSG:25832", 1.0).unwrap_or_else(|e| panic!("{unit}: {e}"));
+        assert_eq!((plain.gcps[0].easting, plain.gcps[0].height), (POINTS[0].1, Some(100.0)), "{unit}");
+    }
+    let error = read("2", "EPSG:25832", 1.0 / 0.3048).expect_err("of which feet?");
+    assert!(error.contains("US survey feet"), "{error}");
+    let error = read("0", "EPSG:25832", 1000.0).expect_err("far away");
+    assert!(error.contains("scale the drawing"), "{error}");
+    let local = read("4", "local", 1.0).expect("local metres");
+    assert!(local.gcps[0].easting == POINTS[0].1 && local.notes.iter().any(|note| note.contains("templates")));
+}

@@ -167,3 +167,41 @@ fn the_name_of_a_system_in_a_column_is_read() {
         assert!(list.notes.iter().any(|note| note.contains(words)), "{words}: {:?}", list.notes);
     }
 }
+
+#[test]
+fn heights_go_along_into_the_unit_of_another_system() {
+    let us_foot = 1200.0 / 3937.0;
+    let to = |crs: &str, to_crs: &str, reproject| GcpOptions {
+        crs: Some(crs.into()),
+        to_crs: Some(to_crs.into()),
+        reproject,
+        ..GcpOptions::default()
+    };
+    let feet = "name,easting,northing,height\nA,3120000,13840000,100\nB,3120400,13840000,100\n";
+    for reproject in [Reproject::Before, Reproject::After] {
+        let list = read(feet, &to("EPSG:2278", "EPSG:26914", reproject)).expect("one datum");
+        assert!(
+            (list.gcps[0].height.expect("one") - 100.0 * us_foot).abs() < 1e-9,
+            "{reproject:?}: {:?}",
+            list.gcps[0]
+        );
+    }
+    let degrees = "name,lon,lat,height\nA,-95.4,29.7,30.48\nB,-95.399,29.7,30.48\n";
+    for crs in ["EPSG:4269"] {
+        let list = read(degrees, &to(crs, "EPSG:2278", Reproject::Before)).expect("near enough");
+        assert!((list.gcps[0].height.expect("one") - 30.48).abs() < 1e-9, "{crs}: {:?}", list.gcps[0]);
+        assert!(list.notes.iter().any(|note| note.contains("heights were brought")), "{:?}", list.notes);
+        assert!(!list.notes.iter().any(|note| note.contains("taken to be in the same unit")), "{:?}", list.notes);
+    }
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (from, into) = (folder.path().join("l.csv"), folder.path().join("out.csv"));
+    std::fs::write(&from, degrees).expect("writable");
+    let options = gcp::convert::ConvertOptions {
+        crs: Some("EPSG:4269".into()),
+        to_crs: Some("EPSG:2278".into()),
+        ..Default::default()
+    };
+    gcp::convert::convert(&from, &into, &options).expect("convertible");
+    let written = std::fs::read_to_string(&into).expect("written");
+    assert!(written.contains(",99.9998"), "30.48 m are 99.9998 US survey feet: {written}");
+}

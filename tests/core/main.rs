@@ -19,6 +19,7 @@ mod examples;
 mod gcp_drawings;
 mod gcp_instruments;
 mod gcp_lists;
+mod gcp_readings;
 mod gcp_titles;
 mod gcp_units;
 mod lists_folder;

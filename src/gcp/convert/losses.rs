@@ -1,5 +1,6 @@
 //! What a format cannot hold.
 
+use std::collections::HashSet;
 use std::path::Path;
 
 use super::kof::{KOF_NAME, fitting};
@@ -117,14 +118,28 @@ fn all_or_none(survey: &Survey, format: ListFormat) -> bool {
 
 /// Titles of what the input says beyond a GCP.
 fn columns(survey: &Survey) -> Vec<String> {
-    let mut seen = std::collections::HashSet::new();
+    let mut seen = HashSet::new();
     let extras = survey.points.iter().flat_map(extra);
     extras.map(|(title, _)| title).filter(|title| seen.insert(title.as_str())).cloned().collect()
 }
 
+/// Takes away what the points hold all that it says: columns that were `read` as parts of them, and one that has the
+/// names of all. A value that is a point's name by chance stays.
+pub(super) fn drop_said(points: &mut [RawPoint], read: &[String]) {
+    let mut others = HashSet::new();
+    for RawPoint { gcp, attributes, .. } in points.iter() {
+        let is_another = |value: &str| !value.trim().is_empty() && without_apostrophe(value.trim()) != gcp.name;
+        others.extend(attributes.iter().filter(|(_, value)| is_another(value)).map(|(title, _)| title.clone()));
+    }
+    for point in points.iter_mut() {
+        point.attributes.retain(|(title, _)| others.contains(title) && !read.contains(title));
+        point.attributes = extra(point).cloned().collect();
+    }
+}
+
 /// What a point says beyond a GCP: neither empty nor one of its own values again.
 pub(super) fn extra(point: &RawPoint) -> impl Iterator<Item = &(String, String)> {
-    let Gcp { name, easting, northing, height, sigma_m, sigma_height_m, .. } = &point.gcp;
+    let Gcp { easting, northing, height, sigma_m, sigma_height_m, .. } = &point.gcp;
     let values = [Some(*easting), Some(*northing), *height, *sigma_m, *sigma_height_m];
     point.attributes.iter().filter(move |(title, value)| {
         let value = value.trim();
@@ -137,8 +152,7 @@ pub(super) fn extra(point: &RawPoint) -> impl Iterator<Item = &(String, String)>
                 || is_one_of(text::number(&value.replace(['.', ','], "")))
                 || heights::stands_for_none(value)
         };
-        let said = without_apostrophe(value) == name
-            || (!value.is_empty() && is_value() && (has_a_meaning(title) || titles::is_letter(title)));
+        let said = !value.is_empty() && is_value() && (has_a_meaning(title) || titles::is_letter(title));
         let tidied = titles::tidy(title);
         let own = OWN.contains(&title.as_str()) || titles::is_role(&tidied);
         !(value.is_empty() || value == "null" || title.trim().is_empty() || said || own)

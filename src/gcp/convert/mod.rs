@@ -18,7 +18,7 @@ use crate::gcp::Gcp;
 use crate::gcp::order::Shown;
 use crate::gcp::raw::{ColumnOrder, RawPoint, Seen};
 use crate::gcp::working_crs;
-use crate::gcp::{degrees, place, read, recognise};
+use crate::gcp::{degrees, metres, place, read, recognise};
 use autoref_raster::atomic::Transaction;
 use autoref_raster::crs::{Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::error::{Error, Result};
@@ -86,9 +86,12 @@ impl Survey {
         let mut gcps: Vec<Gcp> = self.gcps().cloned().collect();
         working_crs::change(input, &mut gcps, source, &target, worst_accuracy_m, notes)?;
         let per_unit = 10f64.powi(if target.is_geographic() { DEGREE_DIGITS } else { LENGTH_DIGITS });
+        let per_metre = 10f64.powi(LENGTH_DIGITS);
         for (point, gcp) in self.points.iter_mut().zip(gcps) {
             let rounded = |value: f64| (value * per_unit).round() / per_unit;
-            point.gcp = Gcp { easting: rounded(gcp.easting), northing: rounded(gcp.northing), ..gcp };
+            let is_same = gcp.height == point.gcp.height;
+            let height = if is_same { gcp.height } else { gcp.height.map(|h| (h * per_metre).round() / per_metre) };
+            point.gcp = Gcp { easting: rounded(gcp.easting), northing: rounded(gcp.northing), height, ..gcp };
         }
         self.crs = Some(target);
         Ok(())
@@ -127,8 +130,8 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
     }
     let (raw, from) = recognise::parse(input, options.layer.as_deref(), options.from)?;
     let mut raw = read::by_the_crs(input, raw, options.crs.as_deref())?;
-    let units = std::mem::take(&mut raw.units);
-    let set_aside = raw.set_aside.take();
+    let (units, read) = (std::mem::take(&mut raw.units), std::mem::take(&mut raw.read));
+    let (set_aside, drawn_in) = (raw.set_aside.take(), raw.drawn_in);
     let is_untitled = raw.order == ColumnOrder::Untitled;
     let target = options.to_crs.as_deref().map(Crs::parse).transpose()?;
     let shown = Shown { target: target.as_ref(), image: None };
@@ -137,9 +140,8 @@ pub fn convert(input: &Path, output: &Path, options: &ConvertOptions) -> Result<
         degrees::refuse_untitled_degrees(input, &points)?;
     }
     // What is said again in a column is known by its number, which another unit changes.
-    for point in &mut points {
-        point.attributes = losses::extra(point).cloned().collect();
-    }
+    losses::drop_said(&mut points, &read);
+    metres::of_drawing(input, &mut points, (crs.as_ref(), drawn_in), &mut notes)?;
     units.apply(input, &mut points, crs.as_ref(), &mut notes)?;
     if let Some(crs) = &crs {
         degrees::refuse_beyond_poles(input, &points, crs)?;

@@ -1,7 +1,7 @@
 //! Letters without accents, as tables write them or leave them out: "Číslo bodu" and "CISLO BODU" are one title.
 
 /// Small letters without accents; letters of double width are narrow ones, signs for "number" are "no".
-pub(super) fn folded(text: &str) -> String {
+pub(in crate::gcp) fn folded(text: &str) -> String {
     let mut plain = String::with_capacity(text.len());
     for letter in text.chars().flat_map(char::to_lowercase) {
         match letter {

@@ -7,6 +7,7 @@ mod fold;
 mod words;
 
 pub(super) use directions::{Axis, directed};
+pub(super) use fold::folded;
 pub(super) use words::{
     CHECKS, EASTINGS, ENABLED, HEIGHTS, LATITUDES, LETTER_PAIRS, LONGITUDES, NAMES, NORTHINGS, ROLES, SHORT_HEIGHTS,
     SHORT_SIGMA_HEIGHTS, SIGMA_EASTS, SIGMA_HEIGHTS, SIGMA_NORTHS, SIGMAS, XS, YS,
@@ -22,12 +23,23 @@ pub(super) fn tidy(title: &str) -> String {
         Some((head, rest)) => (head, rest.split([']', ')']).next().unwrap_or_default()),
         None => (plain.as_str(), ""),
     };
-    let (head, inner) = (spaced(head), spaced(inner));
+    let (head, inner) = (without_share(&spaced(head)), spaced(inner));
+    // "Latitude (North)" is a latitude.
+    let is_angle = [LONGITUDES, LATITUDES].iter().any(|names| names.contains(&head.as_str()));
     let is_direction = inner.chars().count() > 2 || !inner.is_ascii();
-    if is_direction && [EASTINGS, NORTHINGS].iter().any(|names| names.contains(&inner.as_str())) {
+    if is_direction && !is_angle && [EASTINGS, NORTHINGS].iter().any(|names| names.contains(&inner.as_str())) {
         return format!("{head}/{inner}");
     }
     head
+}
+
+/// "accuracy 95%" without the share of errors that it holds.
+fn without_share(title: &str) -> String {
+    if !title.contains('%') {
+        return title.to_owned();
+    }
+    let is_share = |word: &&str| !word.trim_matches('%').bytes().all(|b| b.is_ascii_digit());
+    title.split(' ').filter(is_share).collect::<Vec<_>>().join(" ")
 }
 
 /// One blank for whatever stands between words.
@@ -56,14 +68,27 @@ pub(super) fn find(titles: &[String], names: &[&str]) -> Option<usize> {
 /// The column of the heights: under one of their words, else under one with what they count from ("Höhe ü. NHN",
 /// "NAVD88"), else above the ellipsoid.
 pub(super) fn find_height(titles: &[String]) -> Option<usize> {
-    let among = |above: Above| titles.iter().position(|title| is_height(title, above));
-    find(titles, HEIGHTS).or_else(|| among(Above::Sea)).or_else(|| among(Above::SeaOrEllipsoid))
+    let level = |title: &String| if is_ellipsoidal(title) { String::new() } else { title.clone() };
+    let levels: Vec<String> = titles.iter().map(level).collect();
+    let among = |titles: &[String], above: Above| titles.iter().position(|title| is_height(title, above));
+    find(&levels, HEIGHTS)
+        .or_else(|| among(&levels, Above::Sea))
+        .or_else(|| find(titles, HEIGHTS))
+        .or_else(|| among(titles, Above::SeaOrEllipsoid))
 }
 
 /// Whether a title is that of heights above the sea, or of no certain kind.
 pub(super) fn is_level_height(title: &str) -> bool {
-    let is_ellipsoidal = title.split(' ').any(|word| word.starts_with("ell") || ELLIPSOIDAL.contains(&word));
-    !is_ellipsoidal && (HEIGHTS.contains(&title) || is_height(title, Above::Sea))
+    !is_ellipsoidal(title) && (HEIGHTS.contains(&title) || is_height(title, Above::Sea))
+}
+
+/// Whether a title is that of heights above the ellipsoid.
+pub(super) fn is_ellipsoidal_height(title: &str) -> bool {
+    is_ellipsoidal(title) && (is_height(title, Above::SeaOrEllipsoid) || find(&[title.to_owned()], HEIGHTS).is_some())
+}
+
+fn is_ellipsoidal(title: &str) -> bool {
+    title.split(' ').any(|word| word.starts_with("ell") || ELLIPSOIDAL.contains(&word))
 }
 
 /// What heights count from.
@@ -88,18 +113,36 @@ fn is_height(title: &str, above: Above) -> bool {
     words().any(tells) && words().all(|word| tells(word) || is_number(word) || HEIGHT_QUALIFIERS.contains(&word))
 }
 
-/// "sigma mm" and "easting us ft" without their units.
+/// "sigma mm", "easting us ft" and "easting foot us" without their units.
 fn without_unit(title: &str) -> Option<&str> {
-    let (head, unit) = title.rsplit_once(' ')?;
-    let head = match unit {
-        "ft" | "feet" | "foot" => {
-            [" us", " us survey", " survey", " int"].iter().find_map(|word| head.strip_suffix(word))
-        }
-        "mm" | "cm" | "m" | "km" | "usft" | "ussft" | "ftus" | "ift" | "meter" | "metre" | "meters" | "metres" => None,
-        _ => return None,
+    const KINDS: [&str; 6] = ["us", "survey", "int", "intl", "international", "usa"];
+    let is_unit = |word: &str| {
+        matches!(
+            word,
+            "mm" | "cm"
+                | "m"
+                | "km"
+                | "ft"
+                | "feet"
+                | "foot"
+                | "usft"
+                | "ussft"
+                | "ftus"
+                | "ift"
+                | "meter"
+                | "metre"
+                | "meters"
+                | "metres"
+        )
+    };
+    let (mut rest, mut has_unit) = (title, false);
+    while let Some((head, word)) = rest.rsplit_once(' ')
+        && (KINDS.contains(&word) || (!has_unit && is_unit(word)))
+    {
+        has_unit |= is_unit(word);
+        rest = head;
     }
-    .unwrap_or(head);
-    Some(head)
+    has_unit.then_some(rest)
 }
 
 /// "coordenada x" and "ost koordinate" without the word for coordinate.
@@ -158,6 +201,27 @@ pub(super) fn is_letter(title: &str) -> bool {
 /// Whether a title is that of a role, by any of its words.
 pub(super) fn is_role(title: &str) -> bool {
     [ROLES, CHECKS, ENABLED].iter().any(|names| names.contains(&title))
+}
+
+/// Whether a word often stands among titles without being that of a coordinate or a name: of times, images, codes.
+pub(super) fn is_beside(title: &str) -> bool {
+    const OTHERS: [&str; 12] = [
+        "code",
+        "desc",
+        "description",
+        "remark",
+        "remarks",
+        "note",
+        "notes",
+        "beschreibung",
+        "bemerkung",
+        "tema",
+        "layer",
+        "class",
+    ];
+    let tidied = tidy(title);
+    let is_other = |word: &str| OTHERS.contains(&word) || NO_NAMES.contains(&word);
+    title.starts_with(['(', '[']) || is_other(&tidied)
 }
 
 /// Whether a title is one of those that a table's reader knows.

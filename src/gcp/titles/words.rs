@@ -114,7 +114,7 @@ pub(super) const HEIGHT_QUALIFIERS: &[&str] = &[
     "de", "del", "mar", "sobre", "sur",
     "tov", "t", "o", "v", "n p m", "npm", "nad", "morem", "nadmorska", "nadmorsky", "terenu", "terrain", "terreno",
     "gelande",
-    "ground", "orth", "ortho", "orthometric", "orthometrisch", "orthometrische", "orthometrique", "ortometrik",
+    "ground", "grid", "local", "orth", "ortho", "orthometric", "orthometrisch", "orthometrische", "orthometrique", "ortometrik",
     "ortometrica",
     "ortometrico", "ortometrisk", "ortometryczna", "ortometrijska", "ortometricka", "normal", "normalhohe",
     "physical", "абс",
@@ -129,31 +129,38 @@ pub(in crate::gcp) const LONGITUDES: &[&str] = &[
     "geographische lange",
     "longitud", "longitudine", "lengtegraad", "dlugosc", "dlugosc geograficzna", "zemepisna delka", "delka",
     "pituusaste", "boylam", "hosszusag", "foldrajzi hosszusag", "経度", "經度", "经度", "경도", "долгота",
-    "γεωγραφικο μηκοσ",
+    "γεωγραφικο μηκοσ", "west longitude", "east longitude", "longitude west", "longitude east", "lon west", "lon east",
+    "longitude w", "longitude e", "lon w", "lon e",
 ];
 pub(in crate::gcp) const LATITUDES: &[&str] = &[
     "lat", "latitude", "breddegrad", "latitude deg", "lat deg", "breite", "geographische breite", "latitud",
     "latitudine", "breedtegraad", "szerokosc", "szerokosc geograficzna", "zemepisna sirka", "sirka", "leveysaste",
     "enlem", "szelesseg", "foldrajzi szelesseg", "緯度", "纬度", "위도", "широта", "γεωγραφικο πλατοσ",
+    "north latitude", "south latitude", "latitude north", "latitude south", "lat north", "lat south", "latitude n",
+    "latitude s", "lat n", "lat s",
 ];
 pub(in crate::gcp) const SIGMAS: &[&str] = &[
     "sigma m", "sigma", "accuracy", "accuracy m", "std", "accuracy horz", "xy accuracy", "horizontal accuracy",
     "hrms",
     "genauigkeit", "lagegenauigkeit", "nøyaktighet", "noyaktighet", "nauwkeurigheid", "precisione", "precisao",
+    "hz prec", "hz precision", "horizontal precision", "horizontal prec", "h prec", "ce95", "ce90", "ce99",
     "incertitude plani", "accuracy x/y", "accuracy x/y/z", "accuracy xy",
 ];
 /// Accuracies of each coordinate.
 pub(in crate::gcp) const SIGMA_EASTS: &[&str] =
-    &["accuracy x", "x accuracy", "sigma x", "sigma e", "std x", "easting rms", "sx", "se", "ix"];
+    &["accuracy x", "x accuracy", "sigma x", "sigma e", "std x", "easting rms", "std dev e", "std dev easting", "std dev x",
+    "std e", "sd e", "sx", "se", "ix", "me", "sde", "sdx"];
 pub(in crate::gcp) const SIGMA_NORTHS: &[&str] =
-    &["accuracy y", "y accuracy", "sigma y", "sigma n", "std y", "sy", "sn", "iy", "northing rms"];
+    &["accuracy y", "y accuracy", "sigma y", "sigma n", "std y", "std dev n", "std dev northing", "std dev y", "std n",
+    "sd n", "sy", "sn", "iy", "northing rms", "mn", "sdn", "sdy"];
 pub(in crate::gcp) const SIGMA_HEIGHTS: &[&str] = &[
     "sigma height m", "sigma h", "accuracy z", "accuracy vert", "z accuracy", "vertical accuracy", "vrms",
     "hohengenauigkeit", "sigma z",
-    "std z", "elevation rms", "incertitude alti", "accuracy x/y/z", "accuracy z/altitude",
+    "std z", "std dev h", "std dev z", "std dev height", "std dev elevation", "std h", "sd h", "sd z", "vt prec",
+    "vt precision", "vertical precision", "vertical prec", "v prec", "le95", "le90", "le99", "elevation rms", "incertitude alti", "accuracy x/y/z", "accuracy z/altitude",
 ];
 /// Titles so short that they mean an accuracy of the height beside those of both coordinates only.
-pub(in crate::gcp) const SHORT_SIGMA_HEIGHTS: &[&str] = &["sz", "sh", "iz"];
+pub(in crate::gcp) const SHORT_SIGMA_HEIGHTS: &[&str] = &["sz", "sh", "iz", "mh", "sdu", "sdz", "sdh"];
 pub(in crate::gcp) const ROLES: &[&str] = &["role", "type", "use", "point type"];
 pub(in crate::gcp) const CHECKS: &[&str] = &["check", "checkpoint", "check point", "is check", "kontrollpunkt"];
 pub(in crate::gcp) const ENABLED: &[&str] = &["enabled", "enable"];

@@ -154,6 +154,9 @@ struct Delivery {
     fitted: GeoTransform,
     delivered: GeoTransform,
     size_px: (f64, f64),
+    /// Heights as the recorded run wrote them, by the points' names.
+    heights: HashMap<String, f64>,
+    height_metres_per_unit: f64,
 }
 
 impl Delivery {
@@ -173,12 +176,22 @@ impl Delivery {
         let size_px =
             recorded.image.as_ref().map_or((1000.0, 1000.0), |image| (image.width as f64, image.height as f64));
         let fitted = solving::written_affine(recorded).unwrap_or(solution.geotransform);
-        Ok(Some(Delivery { fitted, delivered, size_px }))
+        let rows = recorded.solved().into_iter().flat_map(|solved| solved.matches.iter().chain(&solved.check_points));
+        let heights = rows.filter_map(|row| Some((row.gcp.clone(), row.height?))).collect();
+        let crs = recorded.crs.as_deref().map(Crs::parse).transpose()?;
+        let unit_m = |crs: Crs| crs.height_metres_per_unit().unwrap_or_else(|| crs.metres_per_unit());
+        let height_metres_per_unit = crs.map_or(1.0, unit_m);
+        Ok(Some(Delivery { fitted, delivered, size_px, heights, height_metres_per_unit }))
     }
 
     fn point(&self, fitted: MapPoint) -> MapPoint {
         let pixel = self.fitted.invert(fitted).expect("a solution has a scale");
         self.delivered.apply(pixel)
+    }
+
+    /// Of a point, from the metres of the fit.
+    fn height(&self, name: &str, fitted_m: f64) -> f64 {
+        self.heights.get(name).copied().unwrap_or(fitted_m / self.height_metres_per_unit)
     }
 
     fn apply(&self, result: &mut RunResult) {
@@ -191,6 +204,26 @@ impl Delivery {
         for row in solved.matches.iter_mut().chain(&mut solved.check_points) {
             let point = self.point(MapPoint { easting: row.easting, northing: row.northing });
             (row.easting, row.northing) = (point.easting, point.northing);
+            row.height = row.height.map(|height| self.height(&row.gcp, height));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heights_are_those_that_were_written() {
+        let plain = GeoTransform([0.0, 1.0, 0.0, 0.0, 0.0, -1.0]);
+        let delivery = Delivery {
+            fitted: plain,
+            delivered: plain,
+            size_px: (100.0, 100.0),
+            heights: HashMap::from([("P1".to_owned(), 100.0)]),
+            height_metres_per_unit: 1200.0 / 3937.0,
+        };
+        assert_eq!(delivery.height("P1", 30.480_060_960_121_92), 100.0);
+        assert!((delivery.height("P2", 30.480_060_960_121_92) - 100.0).abs() < 1e-9);
     }
 }

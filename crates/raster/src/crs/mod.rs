@@ -9,6 +9,7 @@
 //! ```
 
 mod grids;
+mod names;
 mod transform;
 
 pub use transform::{Accuracy, Coordinate, DEFAULT_DATUM_ACCURACY_M, Way};
@@ -76,7 +77,8 @@ fn counts_in_unit_of(reference: &SpatialRef, code: u32) -> bool {
 
 impl Crs {
     /// Reads an EPSG code ("EPSG:25832", "25832", "EPSG:25832+5941"), WKT, a PROJ string, an OGC URN, the short names
-    /// of drone software ("WGS84 UTM 32N"), or the name of a file with one of them or of a raster that has one.
+    /// of drone software ("WGS84 UTM 32N"), EPSG's own names ("Amersfoort / RD New", two joined by
+    /// " + "), or the name of a file with one of them or of a raster that has one.
     ///
     /// # Errors
     /// When nothing of the kind is understood; for systems without horizontal axes, or that count from the Earth's
@@ -105,10 +107,12 @@ impl Crs {
         if definition.starts_with("http") && !definition.contains("opengis.net/def/crs") {
             return Err(bad(&"addresses are not fetched"));
         }
-        let mut reference = SpatialRef::from_definition(&definition).map_err(|e| match e {
-            gdal::errors::GdalError::OgrError { .. } => bad(&"GDAL and PROJ do not know it"),
-            other => bad(&other),
-        })?;
+        let named = || SpatialRef::from_definition(&names::definition(&definition)?).ok();
+        let mut reference =
+            SpatialRef::from_definition(&definition).or_else(|e| named().ok_or(e)).map_err(|e| match e {
+                gdal::errors::GdalError::OgrError { .. } => bad(&"GDAL and PROJ do not know it"),
+                other => bad(&other),
+            })?;
         if reference.auth_code().is_err() {
             // A .prj of ArcGIS names no code; where the content is one of EPSG's, so is the label. It may be none of
             // them.
