@@ -24,13 +24,15 @@ struct Axis {
 }
 
 /// Cells of the source under one of the target: the first, and its and the next ones' shares, at `at` in a list; where
-/// the footprint begins, from the first's own beginning.
+/// the footprint begins, from the first's own beginning; where the mean of a whole footprint belongs, from the cell's
+/// middle, in cells of the target.
 #[derive(Clone, Copy, Debug)]
 struct Cover {
     first: i64,
     begins: f64,
     at: usize,
     count: usize,
+    off_px: f64,
 }
 
 /// Shares below this are rounding.
@@ -56,8 +58,21 @@ impl Axis {
             let at = shares.len();
             let first = (start..end).find(|&c| share(c) > LEAST_SHARE).unwrap_or(start);
             shares.extend((first..end).map(share).take_while(|share| *share > LEAST_SHARE));
-            covers.push(Cover { first, begins: low - first as f64, at, count: shares.len() - at });
+            let begins = low - first as f64;
+            let (mut middle, mut all) = (0.0, 0.0);
+            for (k, share) in shares[at..].iter().enumerate() {
+                middle += share * self.place(k, begins);
+                all += share;
+            }
+            // Shares run as the source's cells do, which may be against the target's.
+            let off_px = self.step.signum() * (middle / all - 0.5);
+            covers.push(Cover { first, begins, at, count: shares.len() - at, off_px });
         }
+    }
+
+    /// The middle of the source's `k`-th cell under a footprint, from where that begins, in cells of the target.
+    fn place(&self, k: usize, begins: f64) -> f64 {
+        (k as f64 + 0.5 - begins) / self.width
     }
 }
 
@@ -70,8 +85,16 @@ pub struct Buffers {
     row_shares: Vec<f64>,
     cells: Vec<f64>,
     along: Vec<(f64, f64)>,
-    /// Footprints of which not all has heights.
+    /// Footprints of which not all has heights, in the order of the list of heights.
     pub partial: Vec<Partial>,
+}
+
+impl Buffers {
+    /// Where the means of whole footprints belong, from the cells' middles, in cells to the right of each column and
+    /// down of each row: heights belong to the middles of the source's cells, of which a footprint may end within one.
+    pub fn off_px(&self) -> (impl Iterator<Item = f64> + '_, impl Iterator<Item = f64> + '_) {
+        (self.columns.iter().map(|cover| cover.off_px), self.rows.iter().map(|cover| cover.off_px))
+    }
 }
 
 /// A footprint of which not all has heights.
@@ -168,14 +191,13 @@ impl<H: Heights + ?Sized> Footprints<'_, H> {
         (columns, rows): (&Cover, &Cover),
         (column_shares, row_shares): (&[f64], &[f64]),
     ) -> [f64; 2] {
-        let place = |k: usize, cover: &Cover, width: f64| (k as f64 + 0.5 - cover.begins) / width;
         let (mut x, mut y, mut all) = (0.0, 0.0, 0.0);
         for (j, row_share) in row_shares[..rows.count].iter().enumerate() {
             for (i, column_share) in column_shares[..columns.count].iter().enumerate() {
                 if !cells[j * stride + i].is_nan() {
                     let share = row_share * column_share;
-                    x += share * place(i, columns, self.x.width);
-                    y += share * place(j, rows, self.y.width);
+                    x += share * self.x.place(i, columns.begins);
+                    y += share * self.y.place(j, rows.begins);
                     all += share;
                 }
             }

@@ -132,7 +132,7 @@ impl Scan<'_> {
         let stride = width + 2;
         self.b.read(Patch { x: x - 1, y: y - 1, width: stride, height: height + 2 }, &mut buffers.b)?;
         if matches!(self.a, OnGrid::Under(_)) {
-            centre_partial(buffers, (width, stride));
+            centre(buffers, (width, stride));
         }
         buffers.zones.clear(width);
         let (grid, b) = (&self.grid, &buffers.b);
@@ -186,25 +186,46 @@ impl Scan<'_> {
     }
 }
 
-/// Brings means over parts of cells to the cells' middles, by how B lies there: else B's height of the whole cell would
-/// be subtracted from that of a part of it. Where B does not tell, the cell is left out. B's cells begin one row and
-/// column before A's.
-fn centre_partial(buffers: &mut Buffers, (width, stride): (usize, usize)) {
+/// An offset below this, in cells, asks nothing of B.
+const CENTRED_PX: f64 = 1e-6;
+
+/// Brings means over footprints to the cells' middles, by how B lies there: A's cells that stick out of one of B's, and
+/// those without heights, move what the mean belongs to. Where B does not tell, the mean over a whole cell stays as it
+/// is, and that over a part is left out. B's cells begin one row and column before A's.
+fn centre(buffers: &mut Buffers, (width, stride): (usize, usize)) {
     let Buffers { under, a, b, .. } = buffers;
-    for Partial { index, off_px } in &under.partial {
-        let at = (index / width + 1) * stride + index % width + 1;
-        let rise = |step: usize| {
-            let [before, here, after] = [b[at - step], b[at], b[at + step]];
-            match (before.is_nan(), after.is_nan()) {
-                (false, false) => 0.5 * (after - before),
-                (true, false) => after - here,
-                (false, true) => here - before,
-                (true, true) => f64::NAN,
+    let rise = |at: usize, step: usize| {
+        let [before, here, after] = [b[at - step], b[at], b[at + step]];
+        match (before.is_nan(), after.is_nan()) {
+            (false, false) => 0.5 * (after - before),
+            (true, false) => after - here,
+            (false, true) => here - before,
+            (true, true) => f64::NAN,
+        }
+    };
+    let along = |off_px: f64, at: usize, step: usize| {
+        if off_px.abs() > CENTRED_PX { off_px * rise(at, step) } else { 0.0 }
+    };
+    let (columns, rows) = under.off_px();
+    let columns: Vec<f64> = columns.collect();
+    let centred = columns.iter().all(|off_px| off_px.abs() <= CENTRED_PX);
+    let mut partial = under.partial.iter().peekable();
+    for (row, (line, down)) in a.chunks_exact_mut(width).zip(rows).enumerate() {
+        let (first, from) = (row * width, (row + 1) * stride + 1);
+        let mut done = 0;
+        loop {
+            let part = partial.next_if(|part| part.index < first + width);
+            let to = part.map_or(width, |part| part.index - first);
+            if !(centred && down.abs() <= CENTRED_PX) {
+                for (x, value) in (done..).zip(&mut line[done..to]) {
+                    let off_m = along(columns[x], from + x, 1) + along(down, from + x, stride);
+                    *value -= if off_m.is_nan() { 0.0 } else { off_m };
+                }
             }
-        };
-        // A middle that lies where the cell's does asks nothing of B.
-        let along = |off_px: f64, step: usize| if off_px.abs() > 1e-6 { off_px * rise(step) } else { 0.0 };
-        a[*index] -= along(off_px[0], 1) + along(off_px[1], stride);
+            let Some(Partial { off_px, .. }) = part else { break };
+            line[to] -= along(off_px[0], from + to, 1) + along(off_px[1], from + to, stride);
+            done = to + 1;
+        }
     }
 }
 
@@ -237,6 +258,39 @@ fn aspect(east: f64, north: f64) -> Option<u16> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::source::MemoryHeights;
+
+    /// Cells of 7 and 8.5 under cells of 10, offset, rows north up or south up: a plane is one after the mean too,
+    /// beside a hole of either model as well.
+    #[test]
+    fn means_of_a_plane_lie_on_it() {
+        let plane = |x: f64, y: f64| 0.35 * x - 0.6 * y;
+        let heights = |grid: Grid, hole: u64| {
+            let at = |i: u64, step: f64| (i as f64 + 0.5) * step;
+            let values = (0..grid.height).flat_map(|j| (0..grid.width).map(move |i| (i, j))).map(|(i, j)| {
+                let is_hole = i / hole == 1 && j / hole == 1;
+                if is_hole { f64::NAN } else { plane(grid.x0 + at(i, grid.step_x), grid.y0 + at(j, grid.step_y)) }
+            });
+            MemoryHeights::new(grid, values.collect())
+        };
+        for (step_x, step_y, down) in [(7.0, 8.5, -1.0), (8.5, 7.0, 1.0), (5.0, 9.4, -1.0)] {
+            let fine = Grid { x0: -18.7, y0: -23.1 * down, step_x, step_y: step_y * down, width: 60, height: 60 };
+            let grid = Grid { x0: 0.0, y0: 0.0, step_x: 10.0, step_y: 10.0 * down, width: 30, height: 30 };
+            let (a, b) = (heights(fine, 16), heights(grid, 9));
+            let unit = GroundUnit::Projected { metres_per_unit: 1.0 };
+            let a = OnGrid::new(&a, grid, Interpolation::Bilinear);
+            let limits = (f64::NEG_INFINITY, f64::INFINITY);
+            let scan = Scan { grid, unit, a, b: &b, zones: None, slope_limits: &[], limits };
+            let mut seen = 0;
+            let window = Window { x: 0, y: 0, width: 30, height: 30 };
+            let see = |cell: Cell<'_>| {
+                seen += 1;
+                assert!(cell.difference.abs() < 1e-5, "{} {}: {}", cell.x, cell.y, cell.difference);
+            };
+            scan.cells(window, &mut Buffers::default(), see).expect("memory");
+            assert!(seen > 600, "{seen}");
+        }
+    }
 
     #[test]
     fn aspects_are_those_of_the_angle() {
