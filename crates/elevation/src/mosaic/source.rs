@@ -37,6 +37,8 @@ pub struct Source {
     pub date: String,
     /// What its cells cost.
     pub companion: Option<Box<Source>>,
+    /// The same a whole turn away, where the mosaic runs around the Earth and this lies over its end.
+    pub again: Vec<Source>,
 }
 
 /// Cells that lie this near to cells of the mosaic are taken to be them, in cells.
@@ -77,6 +79,7 @@ impl Source {
             on_grid: true,
             date: date_of(path, &dataset),
             companion: None,
+            again: Vec::new(),
         })
     }
 
@@ -101,7 +104,8 @@ impl Source {
         let top = mosaic.y0 + window.y as f64 * mosaic.step_y;
         let right = left + window.width as f64 * mosaic.step_x;
         let bottom = top + window.height as f64 * mosaic.step_y;
-        west < right && east > left && south < top && north > bottom
+        let here = west < right && east > left && south < top && north > bottom;
+        here || self.again.iter().any(|again| again.meets(mosaic, window))
     }
 
     /// The cells that a window of the mosaic needs, with neighbours.
@@ -143,13 +147,24 @@ impl Source {
     /// From the source's centre, in units of y.
     pub fn distances(&self, mosaic: &Grid, window: Window) -> Vec<f64> {
         let (x0, y0) = self.grid.centre();
-        self.each(mosaic, window, |x, y, ratio| (ratio * (x - x0)).hypot(y - y0))
+        let mut all = self.each(mosaic, window, |x, y, ratio| (ratio * (x - x0)).hypot(y - y0));
+        for again in &self.again {
+            let other = again.distances(mosaic, window);
+            all.iter_mut().zip(other).for_each(|(distance, other)| *distance = distance.min(other));
+        }
+        all
     }
 
     /// From the nearest edge of the source's grid, in units of y; negative beyond it.
     pub fn edge_distances(&self, mosaic: &Grid, window: Window) -> Vec<f64> {
         let [west, south, east, north] = self.grid.bounds();
-        self.each(mosaic, window, |x, y, ratio| (ratio * (x - west).min(east - x)).min(y - south).min(north - y))
+        let mut all =
+            self.each(mosaic, window, |x, y, ratio| (ratio * (x - west).min(east - x)).min(y - south).min(north - y));
+        for again in &self.again {
+            let other = again.edge_distances(mosaic, window);
+            all.iter_mut().zip(other).for_each(|(distance, other)| *distance = distance.max(other));
+        }
+        all
     }
 
     /// Brings the grid to the mosaic's where it is nearly there.
