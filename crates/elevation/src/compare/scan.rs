@@ -41,7 +41,7 @@ impl<'a> OnGrid<'a> {
     pub(super) fn new(a: &'a dyn Heights, grid: Grid, resampling: Interpolation) -> OnGrid<'a> {
         let cell = |g: &Grid| (g.step_x * g.step_y).abs();
         if (cell(&grid) / cell(&a.grid())).sqrt() > Self::FINER {
-            OnGrid::Under(Footprints::new(a, grid, (0.0, 0.0)))
+            OnGrid::Under(Footprints::new(a, grid, (0.0, 0.0)).sloping())
         } else {
             OnGrid::Between(Resampled::new(a, grid, (0.0, 0.0), resampling))
         }
@@ -132,7 +132,7 @@ impl Scan<'_> {
         let stride = width + 2;
         self.b.read(Patch { x: x - 1, y: y - 1, width: stride, height: height + 2 }, &mut buffers.b)?;
         if matches!(self.a, OnGrid::Under(_)) {
-            centre(buffers, (width, stride));
+            centre_partial(buffers, (width, stride));
         }
         buffers.zones.clear(width);
         let (grid, b) = (&self.grid, &buffers.b);
@@ -186,46 +186,25 @@ impl Scan<'_> {
     }
 }
 
-/// An offset below this, in cells, asks nothing of B.
-const CENTRED_PX: f64 = 1e-6;
-
-/// Brings means over footprints to the cells' middles, by how B lies there: A's cells that stick out of one of B's, and
-/// those without heights, move what the mean belongs to. Where B does not tell, the mean over a whole cell stays as it
-/// is, and that over a part is left out. B's cells begin one row and column before A's.
-fn centre(buffers: &mut Buffers, (width, stride): (usize, usize)) {
+/// Brings means over parts of cells to the cells' middles, by how B lies there: else B's height of the whole cell would
+/// be subtracted from that of a part of it. Where B does not tell, the cell is left out. B's cells begin one row and
+/// column before A's.
+fn centre_partial(buffers: &mut Buffers, (width, stride): (usize, usize)) {
     let Buffers { under, a, b, .. } = buffers;
-    let rise = |at: usize, step: usize| {
-        let [before, here, after] = [b[at - step], b[at], b[at + step]];
-        match (before.is_nan(), after.is_nan()) {
-            (false, false) => 0.5 * (after - before),
-            (true, false) => after - here,
-            (false, true) => here - before,
-            (true, true) => f64::NAN,
-        }
-    };
-    let along = |off_px: f64, at: usize, step: usize| {
-        if off_px.abs() > CENTRED_PX { off_px * rise(at, step) } else { 0.0 }
-    };
-    let (columns, rows) = under.off_px();
-    let columns: Vec<f64> = columns.collect();
-    let centred = columns.iter().all(|off_px| off_px.abs() <= CENTRED_PX);
-    let mut partial = under.partial.iter().peekable();
-    for (row, (line, down)) in a.chunks_exact_mut(width).zip(rows).enumerate() {
-        let (first, from) = (row * width, (row + 1) * stride + 1);
-        let mut done = 0;
-        loop {
-            let part = partial.next_if(|part| part.index < first + width);
-            let to = part.map_or(width, |part| part.index - first);
-            if !(centred && down.abs() <= CENTRED_PX) {
-                for (x, value) in (done..).zip(&mut line[done..to]) {
-                    let off_m = along(columns[x], from + x, 1) + along(down, from + x, stride);
-                    *value -= if off_m.is_nan() { 0.0 } else { off_m };
-                }
+    for Partial { index, off_px } in &under.partial {
+        let at = (index / width + 1) * stride + index % width + 1;
+        let rise = |step: usize| {
+            let [before, here, after] = [b[at - step], b[at], b[at + step]];
+            match (before.is_nan(), after.is_nan()) {
+                (false, false) => 0.5 * (after - before),
+                (true, false) => after - here,
+                (false, true) => here - before,
+                (true, true) => f64::NAN,
             }
-            let Some(Partial { off_px, .. }) = part else { break };
-            line[to] -= along(off_px[0], from + to, 1) + along(off_px[1], from + to, stride);
-            done = to + 1;
-        }
+        };
+        // A middle that lies where the cell's does asks nothing of B.
+        let along = |off_px: f64, step: usize| if off_px.abs() > 1e-6 { off_px * rise(step) } else { 0.0 };
+        a[*index] -= along(off_px[0], 1) + along(off_px[1], stride);
     }
 }
 
