@@ -2,6 +2,7 @@
 
 use crate::couple::TURN_DEGREES;
 use crate::zones::{Ring, Zones};
+use autoref_raster::words::some_of;
 
 /// West and east of a ring.
 fn reach(ring: &[(f64, f64)]) -> (f64, f64) {
@@ -81,19 +82,11 @@ pub(crate) fn zones_beside(areas: Vec<(String, Vec<Vec<Ring>>)>, [west, _, east,
 
 /// What to say of areas without a cell.
 pub(crate) fn note_of_outside(names: &[String]) -> Option<String> {
-    const MOST_NAMES: usize = 5;
-    let shown = names[..names.len().min(MOST_NAMES)].join(", ");
-    match names.len() {
-        0 => None,
-        1 => Some(format!("zone {shown} has no cell with heights in both models: look at its place and CRS")),
-        n if n <= MOST_NAMES => {
-            Some(format!("zones {shown} have no cell with heights in both models: look at their places and CRS"))
-        }
-        n => Some(format!(
-            "zones {shown} and {} more have no cell with heights in both models: look at their places and CRS",
-            n - MOST_NAMES
-        )),
-    }
+    let (noun, have, places) =
+        if names.len() == 1 { ("zone", "has", "its place") } else { ("zones", "have", "their places") };
+    let named = some_of(names);
+    (!names.is_empty())
+        .then(|| format!("{noun} {named} {have} no cell with heights in both models: look at {places} and CRS"))
 }
 
 #[cfg(test)]

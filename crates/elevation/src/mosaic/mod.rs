@@ -185,6 +185,7 @@ impl MosaicJob<'_> {
         files.commit()?;
         let mut notes = alike::notes(&sources);
         notes.extend(one_turn);
+        notes.extend(alike::note_of_dates(&sources).filter(|_| self.choice == Choice::Newest));
         notes.extend(companion::without_companion(&sources, &grid, &counts.uncosted));
         Ok(Made {
             notes,

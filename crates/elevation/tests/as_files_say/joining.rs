@@ -302,6 +302,21 @@ fn an_index_has_the_crs_of_its_sources() {
 }
 
 #[test]
+fn dates_of_two_kinds_are_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let out = at("o.tif");
+    let source = |name: &str| plate(&at(name), 0.0, (20, 10), None, |_, _| 10u8);
+    let inputs = [source("a_20200101.tif"), source("undated.tif")];
+    let found = made(&MosaicJob { choice: Choice::Newest, ..job(&inputs, &out) });
+    assert!(found.notes.len() == 1 && found.notes[0].contains("dates") && found.notes[0].contains("undated.tif"));
+    assert!(!found.notes[0].contains("a_2020"), "{:?}", found.notes);
+    assert!(made(&job(&inputs, &out)).notes.is_empty());
+    let inputs = [source("a_20200101.tif"), source("b_20210101.tif")];
+    assert!(made(&MosaicJob { choice: Choice::Newest, ..job(&inputs, &out) }).notes.is_empty());
+}
+
+#[test]
 fn a_companion_lies_on_its_source() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
