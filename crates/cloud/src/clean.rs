@@ -17,6 +17,7 @@ use crate::smrf;
 use crate::summary::Summary;
 use crate::tiles::{Scratch, Spool, Tiles, Verdicts};
 use crate::{elm, isolated};
+use autoref_raster::words::{counted, in_short};
 
 /// Points of one read.
 const BATCH: usize = 1 << 14;
@@ -126,6 +127,8 @@ pub struct CleanReport {
     pub points: u64,
     /// Points whose coordinates are no finite numbers.
     pub invalid: u64,
+    /// Points that are flagged as withheld, which LAS calls deleted: they go on as they came, and no step sees them.
+    pub withheld: u64,
     pub points_kept: u64,
     pub tiles: usize,
     pub seconds: f64,
@@ -175,11 +178,21 @@ pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<C
     let began = Instant::now();
     let (mut header, _) = io::open(input)?;
     let mut notes = look(input, named, plan, &mut header)?;
-    let (mut tiles, invalid, left_over) = tracing::info_span!("read").in_scope(|| spool(input, plan))?;
+    let Spooled { mut tiles, invalid, withheld, left_over } =
+        tracing::info_span!("read").in_scope(|| spool(input, plan))?;
     notes.extend(left_over);
+    if withheld > 0 && !plan.steps.is_empty() {
+        let are = counted(
+            withheld,
+            "point is flagged as withheld: no step sees it",
+            "points are flagged as withheld: no step sees them",
+        );
+        tracing::warn!("{}: {are}", input.display());
+        notes.push(are);
+    }
     let shift = plan.shift.or(header.shift).unwrap_or([0.0; 3]);
     let mut steps = Vec::new();
-    let mut active = tiles.points;
+    let mut active = tiles.points - withheld;
     for (index, step) in plan.steps.iter().enumerate() {
         let span = tracing::info_span!("step");
         let report = span.in_scope(|| run_step(&mut tiles, step, (index + 1) as u8, active, shift, plan))?;
@@ -216,6 +229,7 @@ pub fn clean(input: &Path, output: &Path, named: &Path, plan: &Plan) -> Result<C
         shift,
         points,
         invalid,
+        withheld,
         points_kept: kept,
         tiles: tiles.tiles.len(),
         seconds: began.elapsed().as_secs_f64(),
@@ -243,6 +257,7 @@ fn look(input: &Path, named: &Path, plan: &Plan, header: &mut Header) -> Result<
     if let Some(step) = plan.steps.iter().find(|step| step.needs_lengths()) {
         header.refuse_degrees(input, asked, &format!("the step {}", step.name()))?;
     }
+    notes.extend(header.las.iter().flat_map(|las| las.not_kept.clone()));
     if to_ply {
         notes.extend(header.lost_in_ply());
     }
@@ -268,23 +283,37 @@ fn kept_bounds(tiles: &Tiles, plan: &Plan, dropped: u64) -> Result<Bounds> {
     Ok(bounds)
 }
 
-/// Reads all points and shares them out; answers the tiles, how many points are invalid, and what the reader left over.
-fn spool(input: &Path, plan: &Plan) -> Result<(Tiles, u64, Option<String>)> {
-    let (_, mut reader) = io::open(input)?;
+/// All points of a cloud, shared out among tiles.
+struct Spooled {
+    tiles: Tiles,
+    invalid: u64,
+    withheld: u64,
+    left_over: Option<String>,
+}
+
+/// Reads all points and shares them out.
+fn spool(input: &Path, plan: &Plan) -> Result<Spooled> {
+    let (header, mut reader) = io::open(input)?;
+    let flag = header.schema.field("withheld");
     let mut scratch = Scratch::new(&plan.scratch)?;
     let mut spool = Spool::new(&mut scratch)?;
     let mut batch = Batch::default();
-    let (mut index, mut invalid) = (0u64, 0);
+    let (mut index, mut invalid, mut withheld) = (0u64, 0, 0);
     loop {
         reader.read(&mut batch, BATCH)?;
         if batch.is_empty() {
             break;
         }
-        for &xyz in &batch.xyz {
+        for (at, &xyz) in batch.xyz.iter().enumerate() {
             if xyz.iter().all(|value| value.is_finite()) {
-                spool.push(&scratch, &Point::new(xyz, index))?;
+                let mut point = Point::new(xyz, index);
+                if flag.is_some_and(|flag| flag.value(batch.record(&header.schema, at)) == 1.0) {
+                    point.withhold();
+                    withheld += 1;
+                }
+                spool.push(&scratch, &point)?;
             } else if plan.invalid == Invalid::Refuse {
-                let [x, y, z] = xyz;
+                let [x, y, z] = xyz.map(in_short);
                 let what = format!(
                     "the coordinates ({x}, {y}, {z}) are not finite; leave such points out with --skip-invalid"
                 );
@@ -303,11 +332,12 @@ fn spool(input: &Path, plan: &Plan) -> Result<(Tiles, u64, Option<String>)> {
         return Err(Error::format(input, "points", "there are none; leave the file out"));
     }
     if spool.points > 1 && spool.bounds.min == spool.bounds.max {
-        let [x, y, z] = spool.bounds.min;
+        let [x, y, z] = spool.bounds.min.map(in_short);
         return Err(Error::format(input, "points", format!("all {} lie at one place, ({x}, {y}, {z})", spool.points)));
     }
     spool.indices = index;
-    Ok((Tiles::new(scratch, spool, plan.most_tile_points())?, invalid, left_over))
+    let tiles = Tiles::new(scratch, spool, plan.most_tile_points())?;
+    Ok(Spooled { tiles, invalid, withheld, left_over })
 }
 
 fn run_step(

@@ -64,7 +64,7 @@ pub fn info(path: &Path, shift: Option<[f64; 3]>) -> Result<Info> {
             }
         }
     }
-    let mut notes = header.las.as_ref().map_or_else(Vec::new, |las| las.notes.clone());
+    let mut notes: Vec<String> = header.las.iter().flat_map(|las| [&las.notes[..], &las.not_kept].concat()).collect();
     notes.extend(reader.left_over()?);
     let moved = |place: [f64; 3]| {
         let shift = shift.unwrap_or([0.0; 3]);

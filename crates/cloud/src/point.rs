@@ -48,6 +48,10 @@ impl Point {
         self.classify(class, step);
         self.tag |= 0x80 << 56;
     }
+    /// Takes it from all steps, and leaves its class as it came.
+    pub(crate) fn withhold(&mut self) {
+        self.tag |= 0x80 << 56;
+    }
     pub(crate) fn encode(&self) -> [u8; RECORD_BYTES] {
         let mut bytes = [0; RECORD_BYTES];
         for axis in 0..3 {

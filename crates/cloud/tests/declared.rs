@@ -449,6 +449,77 @@ fn las_1_5_is_written_as_1_4() {
     assert_eq!((&bytes[24..26], &bytes[94..96]), (&[1u8, 4][..], &375u16.to_le_bytes()[..]));
 }
 
+/// LAS calls withheld points deleted: no grid and no step has them, and they are in the output.
+#[test]
+fn withheld_points_are_counted_and_left_out() {
+    let folder = Folder::new();
+    let (path, out) = (folder.at("held.las"), folder.at("out.las"));
+    for (point_format, flags, bit) in [(1, 15, 0x80), (6, 15, 0x04)] {
+        Las { minor: 4, point_format, ..Las::default() }.write(&path);
+        let mut bytes = std::fs::read(&path).expect("written");
+        let (begin, size) = (375, if point_format == 1 { 28 } else { 30 });
+        // A quarter of the points, far below.
+        for point in (0..16).step_by(4) {
+            let at = begin + point * size;
+            bytes[at + 8..at + 12].copy_from_slice(&(-500_000i32).to_le_bytes());
+            bytes[at + flags] |= bit;
+        }
+        std::fs::write(&path, bytes).expect("written");
+        let report = gridded(&path, &["z"], 10.0).expect("gridded");
+        assert_eq!((report.points, report.points_left_out, report.points_withheld), (16, 4, 4));
+        assert!(report.notes[0].contains("4 points are flagged as withheld"), "{:?}", report.notes);
+        assert!(cells(&folder.at("held_z_mean.tif"))[0] > 0.0);
+        let steps = vec![Step::Outliers { neighbours: 3, multiplier: 2.0 }, Step::Ground(smrf::Options::default())];
+        let report = clean(&path, &out, &out, &plan(steps)).expect("cleaned");
+        assert_eq!((report.withheld, report.steps[0].points_in), (4, 12));
+        assert_eq!(report.points_kept, 16 - report.steps.iter().map(|step| step.dropped).sum::<u64>());
+        let classes = values(&out, "classification");
+        let held = values(&out, "withheld");
+        // Without the deep points the others are ground, as far as they lie low.
+        let of = |flag: f64| classes.iter().zip(&held).filter(move |(_, held)| **held == flag).map(|(class, _)| *class);
+        assert!(of(1.0).all(|class| class == 0.0), "{classes:?}");
+        assert!(of(0.0).filter(|class| *class == 2.0).count() > 6, "{classes:?}");
+        assert_eq!(held.iter().sum::<f64>(), 4.0);
+    }
+}
+
+#[test]
+fn large_extended_records_are_named_when_they_are_left() {
+    let folder = Folder::new();
+    let (path, out) = (folder.at("behind.las"), folder.at("out.las"));
+    Las { minor: 4, point_format: 6, ..Las::default() }.write(&path);
+    let mut bytes = std::fs::read(&path).expect("written");
+    let at = bytes.len() as u64;
+    bytes[235..243].copy_from_slice(&at.to_le_bytes());
+    bytes[243..247].copy_from_slice(&1u32.to_le_bytes());
+    let mut record = vec![0u8; 60];
+    record[2..5].copy_from_slice(b"you");
+    record[18..20].copy_from_slice(&7u16.to_le_bytes());
+    record[20..28].copy_from_slice(&70_000u64.to_le_bytes());
+    bytes.extend(record);
+    bytes.extend(vec![b'x'; 70_000]);
+    std::fs::write(&path, bytes).expect("written");
+    let report = clean(&path, &out, &out, &plan(Vec::new())).expect("cleaned");
+    let told = |notes: &[String]| notes.iter().any(|note| note.contains("`you` 7 of 70000 bytes is not kept"));
+    assert!(told(&report.notes) && told(&info(&path, None).expect("a cloud").notes), "{:?}", report.notes);
+}
+
+/// −9999 is a height like any other, and stays one in the grid.
+#[test]
+fn a_value_is_never_read_as_none() {
+    let folder = Folder::new();
+    let path = folder.at("deep.las");
+    Las { minor: 2, ..Las::default() }.write(&path);
+    let mut bytes = std::fs::read(&path).expect("written");
+    for point in 0..16 {
+        bytes[227 + point * 20 + 8..][..4].copy_from_slice(&(-9_999_000i32).to_le_bytes());
+    }
+    std::fs::write(&path, bytes).expect("written");
+    gridded(&path, &["z"], 10.0).expect("gridded");
+    let found = cells(&folder.at("deep_z_max.tif"));
+    assert!(found[0] != -9999.0 && (found[0] + 9999.0).abs() < 0.02, "{found:?}");
+}
+
 /// A header of 1.2 has no place for the number of points of the new formats.
 #[test]
 fn old_headers_with_new_point_formats_are_written_as_1_4() {

@@ -16,6 +16,7 @@ use crate::model::Model;
 use crate::output::{self, Cut, Form};
 use crate::source::Heights;
 use crate::stream::Means;
+use crate::turns;
 use crate::zones::{Ring, Zones};
 
 /// The smallest `--memory` that is accepted.
@@ -91,13 +92,17 @@ impl Resources {
     }
 }
 
-/// Reads polygons of a vector file into a CRS; the name of each is its attribute `name`, `id` or the like, or its
-/// number.
+/// Reads polygons of a vector file into the CRS of a model, where it counts its longitudes; the name of each is its
+/// attribute `name`, `id` or the like, or its number. `bounds` are the model's.
 ///
 /// # Errors
 /// When the file cannot be read, or holds no polygon.
-pub fn read_zones(path: &Path, wkt: &str) -> Result<Zones> {
-    Ok(Zones::new(read_areas(path, wkt)?))
+pub fn read_zones(path: &Path, wkt: &str, bounds: [f64; 4]) -> Result<Zones> {
+    let in_degrees = !wkt.is_empty() && Crs::parse(wkt)?.counts_degrees();
+    if !in_degrees {
+        return Ok(Zones::new(read_areas(path, wkt)?));
+    }
+    Ok(turns::zones_beside(read_polygons(path, wkt)?, bounds))
 }
 
 /// Polygons of any vector file with their names and rings, in the CRS of `wkt` where both it and the file name one.
@@ -139,11 +144,19 @@ pub fn read_polygons(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring
             let own =
                 own.as_ref().filter(|crs| !crs.is_geographic() || polygons.iter().flatten().flatten().all(degrees));
             if let (Some(from), Some(to)) = (own, &target) {
-                for ring in polygons.iter_mut().flatten() {
-                    let mut points: Vec<_> =
-                        ring.iter().map(|&(x, y)| crate::crs::Coordinate { x, y, height: None }).collect();
-                    from.transform(&mut points, to, crate::crs::DEFAULT_DATUM_ACCURACY_M)?;
-                    *ring = points.iter().map(|p| (p.x, p.y)).collect();
+                for polygon in &mut polygons {
+                    for ring in polygon.iter_mut() {
+                        let mut points: Vec<_> =
+                            ring.iter().map(|&(x, y)| crate::crs::Coordinate { x, y, height: None }).collect();
+                        from.transform(&mut points, to, crate::crs::DEFAULT_DATUM_ACCURACY_M)?;
+                        let before = std::mem::replace(ring, points.iter().map(|p| (p.x, p.y)).collect());
+                        if to.counts_degrees() {
+                            turns::join(ring, from.is_geographic().then_some(&before));
+                        }
+                    }
+                    if to.counts_degrees() {
+                        turns::bring_holes(polygon);
+                    }
                 }
             }
             if polygons.is_empty() {
@@ -220,6 +233,8 @@ pub struct AlignJob<'a> {
 pub struct AlignedFiles {
     pub couple: Couple,
     pub outcome: Outcome,
+    /// Stable areas that lie beside the models.
+    pub notes: Vec<String>,
     means: Means,
 }
 
@@ -235,7 +250,9 @@ impl AlignJob<'_> {
             }
             other => other,
         };
-        let stable = self.stable.map(|path| read_zones(path, couple.b.wkt())).transpose()?;
+        let bounds = couple.b.grid().bounds();
+        let stable = self.stable.map(|path| read_zones(path, couple.b.wkt(), bounds)).transpose()?;
+        let notes = stable.iter().flat_map(|zones| turns::note_of_outside(&zones.outside(bounds))).collect();
         let means = self.resources.means(&[&couple.a, &couple.b]);
         let options = align::Options {
             method: self.method,
@@ -254,7 +271,7 @@ impl AlignJob<'_> {
                 found.covariance_m2[(axis, axis)] += (PROJECTED_PX * cell_m).powi(2);
             }
         }
-        Ok(AlignedFiles { couple, outcome, means })
+        Ok(AlignedFiles { couple, outcome, notes, means })
     }
 }
 

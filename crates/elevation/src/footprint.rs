@@ -13,6 +13,15 @@ pub struct Footprints<'a, H: Heights + ?Sized> {
     target: Grid,
     x: Axis,
     y: Axis,
+    within: Within,
+}
+
+/// How the ground lies within a cell of the source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Within {
+    Level,
+    /// It rises as the cell's neighbours do.
+    Sloping,
 }
 
 /// Along one axis: cell `i` of the target covers `from + i·step` and the `width` after it, in cells of the source.
@@ -24,13 +33,15 @@ struct Axis {
 }
 
 /// Cells of the source under one of the target: the first, and its and the next ones' shares, at `at` in a list; where
-/// the footprint begins, from the first's own beginning.
+/// the footprint begins, from the first's own beginning. `lean` is the share of the first and of the last cell times
+/// how far the middle of what is covered of it lies from its own, in cells of the source.
 #[derive(Clone, Copy, Debug)]
 struct Cover {
     first: i64,
     begins: f64,
     at: usize,
     count: usize,
+    lean: [f64; 2],
 }
 
 /// Shares below this are rounding.
@@ -56,8 +67,36 @@ impl Axis {
             let at = shares.len();
             let first = (start..end).find(|&c| share(c) > LEAST_SHARE).unwrap_or(start);
             shares.extend((first..end).map(share).take_while(|share| *share > LEAST_SHARE));
-            covers.push(Cover { first, begins: low - first as f64, at, count: shares.len() - at });
+            let count = shares.len() - at;
+            let begins = low - first as f64;
+            let last = count.saturating_sub(1);
+            let lean = |k: usize| {
+                let (own, ends) = (k as f64, begins + self.width);
+                let middle = (begins.max(own) + ends.min(own + 1.0)) / 2.0 - (own + 0.5);
+                let lean = shares.get(at + k).map_or(0.0, |share| share * middle);
+                if lean.abs() > LEAST_SHARE { lean } else { 0.0 }
+            };
+            covers.push(Cover { first, begins, at, count, lean: [lean(0), if last > 0 { lean(last) } else { 0.0 }] });
         }
+    }
+}
+
+impl Cover {
+    /// What the first and the last cell add to a sum of shares, since the ground rises within them; `at` is the height
+    /// of a cell, counted from the first, NaN where there is none.
+    fn rise(&self, at: impl Fn(i64) -> f64) -> f64 {
+        let slope = |k: i64| {
+            let (before, here, after) = (at(k - 1), at(k), at(k + 1));
+            match (before.is_nan(), after.is_nan()) {
+                (false, false) => 0.5 * (after - before),
+                (true, false) => after - here,
+                (false, true) => here - before,
+                (true, true) => 0.0,
+            }
+        };
+        let last = self.count as i64 - 1;
+        let ends = [0, last].into_iter().zip(self.lean).filter(|(_, lean)| *lean != 0.0);
+        ends.map(|(k, lean)| lean * slope(k)).sum()
     }
 }
 
@@ -70,6 +109,8 @@ pub struct Buffers {
     row_shares: Vec<f64>,
     cells: Vec<f64>,
     along: Vec<(f64, f64)>,
+    /// The same sums where the ground slopes within cells; right where nothing is missing.
+    sloping: Vec<f64>,
     /// Footprints of which not all has heights.
     pub partial: Vec<Partial>,
 }
@@ -93,7 +134,14 @@ impl<'a, H: Heights + ?Sized> Footprints<'a, H> {
         let s = source.grid();
         let x = Axis::new((target.x0, target.step_x), (s.x0, s.step_x), shift.0);
         let y = Axis::new((target.y0, target.step_y), (s.y0, s.step_y), shift.1);
-        Footprints { source, target, x, y }
+        Footprints { source, target, x, y, within: Within::Level }
+    }
+
+    /// The same, with ground that rises within the source's cells as their neighbours do, wherever a footprint has
+    /// heights all over: the part of a cell that it covers lies higher or lower than the cell (second-order
+    /// conservative remapping, P. W. Jones 1999). A footprint that has them in part takes cells as level.
+    pub fn sloping(self) -> Self {
+        Footprints { within: Within::Sloping, ..self }
     }
 
     /// As [`Heights::read`], with buffers that are used again. Few rows of the source are held at a time.
@@ -106,11 +154,13 @@ impl<'a, H: Heights + ?Sized> Footprints<'a, H> {
         if out.is_empty() {
             return Ok(());
         }
-        let Buffers { columns, column_shares, rows, row_shares, cells, along, partial } = buffers;
+        let Buffers { columns, column_shares, rows, row_shares, cells, along, sloping, partial } = buffers;
         partial.clear();
         self.x.covers(patch.x, patch.width, column_shares, columns);
         self.y.covers(patch.y, patch.height, row_shares, rows);
-        let (left, right) = span(columns);
+        let around = i64::from(self.within == Within::Sloping);
+        let widened = |(first, end): (i64, i64)| (first - around, end + around);
+        let (left, right) = widened(span(columns));
         let s = self.source.grid();
         if right <= 0 || left >= s.width as i64 {
             return Ok(());
@@ -120,17 +170,25 @@ impl<'a, H: Heights + ?Sized> Footprints<'a, H> {
         for (band, lines) in out.chunks_mut(rows_at_a_time * patch.width).enumerate() {
             let from = band * rows_at_a_time;
             let covers = &rows[from..from + lines.len() / patch.width];
-            let (top, bottom) = span(covers);
+            let (top, bottom) = widened(span(covers));
             if bottom <= 0 || top >= s.height as i64 {
                 continue;
             }
             self.source.read(Patch { x: left, y: top, width, height: (bottom - top) as usize }, cells)?;
             along.clear();
+            sloping.clear();
             for row in cells.chunks_exact(width) {
                 along.extend(columns.iter().map(|cover| {
                     let from = (cover.first - left) as usize;
                     gathered(&row[from..from + cover.count], &column_shares[cover.at..])
                 }));
+                if self.within == Within::Sloping {
+                    let level = &along[sloping.len()..];
+                    sloping.extend(columns.iter().zip(level).map(|(cover, (sum, _))| {
+                        let at = |k: i64| row[(cover.first - left + k) as usize];
+                        sum + cover.rise(at)
+                    }));
+                }
             }
             for (row, (line, cover)) in lines.chunks_exact_mut(patch.width).zip(covers).enumerate() {
                 let first_index = (from + row) * patch.width;
@@ -144,6 +202,15 @@ impl<'a, H: Heights + ?Sized> Footprints<'a, H> {
                     }
                     if whole >= 0.5 {
                         *value = sum / whole;
+                    }
+                    if whole >= 1.0 - WHOLE && self.within == Within::Sloping {
+                        let shares = row_shares[cover.at..cover.at + cover.count].iter().enumerate();
+                        let sum: f64 = shares.map(|(k, share)| share * sloping[first + k * patch.width + x]).sum();
+                        let at = |k: i64| {
+                            let index = ((cover.first - top + k) * patch.width as i64) as usize + x;
+                            if along[index].1 >= 1.0 - WHOLE { sloping[index] } else { f64::NAN }
+                        };
+                        *value = (sum + cover.rise(at)) / whole;
                     }
                     if (0.5..1.0 - WHOLE).contains(&whole) {
                         let shares = (&column_shares[columns[x].at..], &row_shares[cover.at..]);

@@ -28,6 +28,7 @@ pub mod resampled;
 mod row_cache;
 pub mod source;
 pub mod stream;
+mod turns;
 mod warp;
 pub mod zeros;
 pub mod zones;

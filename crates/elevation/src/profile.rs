@@ -2,10 +2,13 @@
 
 use std::path::Path;
 
+use crate::couple::TURN_DEGREES;
+use crate::crs::Crs;
 use crate::error::{Error, Result};
 use crate::model::Model;
 use crate::resample::{Interpolation, Resampled};
 use crate::source::{Heights, Patch};
+use crate::turns;
 
 /// A place on the line: metres from its start, map position, and the height in each model.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,7 +22,8 @@ pub struct Station {
 /// Most stations of a profile.
 const MOST: f64 = 5e6;
 
-/// Heights every `step_m` along `line` (map positions in the models' CRS), and at its corners and its end, bilinear.
+/// Heights every `step_m` along `line` (map positions in the models' CRS, longitudes as the first model counts them or
+/// by whole turns off), and at its corners and its end, bilinear.
 ///
 /// # Errors
 /// When a model cannot be read or has another CRS than the first, or the line has no length.
@@ -28,6 +32,12 @@ pub fn along(models: &[impl AsRef<Path>], line: &[(f64, f64)], step_m: Option<f6
     crate::couple::check_one_map(&models)?;
     let Some(first) = models.first() else { return Err(Error::usage("no model was named", "name at least one")) };
     let unit = first.ground_unit();
+    let grid = first.grid();
+    // Longitudes that count from elsewhere, or jump at 180°, come to the model; around the Earth the way is as written.
+    let [west, _, east, _] = grid.bounds();
+    let small = counts_degrees(first) && east - west < TURN_DEGREES / 2.0;
+    let beside = |&(x, y): &(f64, f64)| (if small { turns::nearest(x, grid.centre().0) } else { x }, y);
+    let line: Vec<(f64, f64)> = line.iter().map(beside).collect();
     let lengths: Vec<f64> = line
         .windows(2)
         .map(|pair| {
@@ -36,7 +46,6 @@ pub fn along(models: &[impl AsRef<Path>], line: &[(f64, f64)], step_m: Option<f6
         })
         .collect();
     let total: f64 = lengths.iter().sum();
-    let grid = first.grid();
     let step = step_m.unwrap_or_else(|| grid.step_x.abs() * unit.metres_per_unit(grid.centre().1).0);
     if !(total > 0.0 && step > 0.0 && total.is_finite()) || total / step > MOST {
         return Err(Error::usage(
@@ -78,8 +87,13 @@ fn distances(lengths: &[f64], step: f64) -> Vec<f64> {
     all
 }
 
+fn counts_degrees(model: &Model) -> bool {
+    model.crs().is_some_and(Crs::counts_degrees)
+}
+
 fn at(model: &Model, x: f64, y: f64) -> Result<Option<f64>> {
     let g = model.grid();
+    let x = if counts_degrees(model) { turns::nearest(x, g.centre().0) } else { x };
     let cell = crate::grid::Grid { x0: x - g.step_x / 2.0, y0: y - g.step_y / 2.0, width: 1, height: 1, ..g };
     let mut out = Vec::new();
     Resampled::new(model, cell, (0.0, 0.0), Interpolation::Bilinear)

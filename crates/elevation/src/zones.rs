@@ -12,6 +12,8 @@ struct Edge {
     low: (f64, f64),
     high: (f64, f64),
     zone: u32,
+    /// Of an area a whole turn away, which counts once.
+    is_again: bool,
 }
 
 /// Numbered areas. A cell belongs to an area when its centre lies inside by the even-odd rule; where areas overlap, to
@@ -56,16 +58,22 @@ pub type Ring = Vec<(f64, f64)>;
 impl Zones {
     /// Each area with its name and all its rings, holes included.
     pub fn new(areas: impl IntoIterator<Item = (String, Vec<Ring>)>) -> Self {
+        Self::placed(areas.into_iter().map(|(name, rings)| (name, rings, Vec::new())))
+    }
+
+    /// The same, each with those of its rings that lie on the model at a second place, a whole turn away.
+    pub(crate) fn placed(areas: impl IntoIterator<Item = (String, Vec<Ring>, Vec<Ring>)>) -> Self {
         let (mut edges, mut names): (Vec<Edge>, _) = (Vec::new(), Vec::new());
-        for (name, rings) in areas {
+        for (name, rings, again) in areas {
             let zone = names.len() as u32;
             names.push(name);
-            for ring in &rings {
+            let rings = rings.iter().map(|ring| (ring, false));
+            for (ring, is_again) in rings.chain(again.iter().map(|ring| (ring, true))) {
                 for (i, &a) in ring.iter().enumerate() {
                     let b = ring[(i + 1) % ring.len()];
                     if a.1 != b.1 {
                         let (low, high) = if a.1 < b.1 { (a, b) } else { (b, a) };
-                        edges.push(Edge { low, high, zone });
+                        edges.push(Edge { low, high, zone, is_again });
                     }
                 }
             }
@@ -84,6 +92,21 @@ impl Zones {
         self.edges.is_empty()
     }
 
+    /// The names of areas whose rectangle does not meet these bounds: west, south, east, north.
+    pub(crate) fn outside(&self, [west, south, east, north]: [f64; 4]) -> Vec<String> {
+        let none = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+        let mut extents = vec![[none; 2]; self.names.len()];
+        for edge in &self.edges {
+            let extent = &mut extents[edge.zone as usize][usize::from(edge.is_again)];
+            for (x, y) in [edge.low, edge.high] {
+                *extent = [extent[0].min(x), extent[1].min(y), extent[2].max(x), extent[3].max(y)];
+            }
+        }
+        let meets = |e: &[f64; 4]| e[0] < east && e[2] > west && e[1] < north && e[3] > south;
+        let beside = self.names.iter().zip(&extents).filter(|(_, extents)| !extents.iter().any(meets));
+        beside.map(|(name, _)| name.clone()).collect()
+    }
+
     /// What each area covers by the even-odd rule, square metres: the length of 2048 level lines through it, each as
     /// wide as the distance to the next; good to a thousandth.
     pub fn areas_m2(&self, unit: &GroundUnit) -> Vec<f64> {
@@ -95,7 +118,7 @@ impl Zones {
             let apart = (high - low) / LINES as f64;
             let northing = |line: usize| low + (line as f64 + 0.5) * apart;
             let mut crossings: Vec<(usize, f64)> = Vec::new();
-            for e in edges {
+            for e in edges.iter().filter(|e| !e.is_again) {
                 let first = |y: f64| ((y - low) / apart - 0.5).ceil().clamp(0.0, LINES as f64) as usize;
                 let across = (e.high.0 - e.low.0) / (e.high.1 - e.low.1);
                 let lines = first(e.low.1)..first(e.high.1);

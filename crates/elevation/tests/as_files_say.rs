@@ -111,10 +111,18 @@ fn finer_cells_are_compared_as_means_of_any_ratio() {
             (high.min(cell as f64 + 1.0) - low.max(cell as f64)).max(0.0) / ratio
         };
         let under = |k: usize| (k as f64 * ratio) as usize..((k + 1) as f64 * ratio).ceil() as usize;
-        let mean = |x: usize, y: usize| -> f64 {
-            let row = |r: usize| under(x).map(|c| share(x, c) * rough(c, r)).sum::<f64>();
-            under(y).map(|r| share(y, r) * row(r)).sum()
+        // Along one axis, with ground that rises within a cell as its neighbours do.
+        let along = |k: usize, at: &dyn Fn(usize) -> f64| -> f64 {
+            let (low, high) = (k as f64 * ratio, (k + 1) as f64 * ratio);
+            let part = |cell: usize| {
+                let (before, after) = (cell.saturating_sub(1), (cell + 1).min(SIDE - 1));
+                let slope = (at(after) - at(before)) / (after - before) as f64;
+                let middle = (low.max(cell as f64) + high.min(cell as f64 + 1.0)) / 2.0 - cell as f64 - 0.5;
+                share(k, cell) * (at(cell) + middle * slope)
+            };
+            under(k).map(part).sum()
         };
+        let mean = |x: usize, y: usize| along(y, &|row| along(x, &|column| rough(column, row)));
         let b = folder.path().join("b.tif");
         let step = 10.0 * ratio;
         let set = create::<f32>(&b, (side, side), 1, "EPSG:32633", [500_000.0, step, 0.0, 8_700_000.0, 0.0, -step]);

@@ -129,7 +129,8 @@ fn metres_of(name: &str) -> Option<f64> {
     match name.to_ascii_lowercase().as_str() {
         "m" | "metre" | "meter" | "metres" | "meters" => Some(1.0),
         "ft" | "foot" | "feet" => Some(FOOT_M),
-        "us survey foot" | "us-ft" | "sfoot" | "usft" | "us feet" => Some(US_SURVEY_FOOT_M),
+        "us survey foot" | "us survey feet" | "us-ft" | "us_ft" | "us ft" | "ftus" | "usft" | "us foot" | "us feet"
+        | "sfoot" => Some(US_SURVEY_FOOT_M),
         "cm" | "centimetre" | "centimeter" => Some(0.01),
         "dm" | "decimetre" | "decimeter" => Some(0.1),
         "mm" | "millimetre" | "millimeter" => Some(0.001),
@@ -141,6 +142,14 @@ fn metres_of(name: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn survey_feet_have_many_names() {
+        for name in ["ftUS", "US ft", "us-ft", "US survey foot", "US_ft"] {
+            assert_eq!(metres_of(name), Some(US_SURVEY_FOOT_M), "{name}");
+        }
+        assert!(same_unit("ftUS", "us-ft") && !same_unit("ftUS", "ft") && same_unit("ft", "foot"));
+    }
 
     #[test]
     fn no_height_is_what_is_declared_and_what_no_ground_has() {

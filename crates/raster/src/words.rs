@@ -14,6 +14,27 @@ pub fn counted<N: Display + PartialEq + From<u8>>(count: N, one: &str, many: &st
     format!("{count} {word}")
 }
 
+/// A number with so many decimals, and one that is far too large for them as a power of ten.
+///
+/// ```
+/// use autoref_raster::words::with_decimals;
+/// assert_eq!(with_decimals(2.25, 3), "2.250");
+/// assert_eq!(with_decimals(-1e300, 3), "-1e300");
+/// ```
+pub fn with_decimals(value: f64, decimals: usize) -> String {
+    if is_huge(value) { format!("{value:e}") } else { format!("{value:.decimals$}") }
+}
+
+/// A number with all its digits, and one that is far too large for them as a power of ten.
+pub fn in_short(value: f64) -> String {
+    if is_huge(value) { format!("{value:e}") } else { value.to_string() }
+}
+
+fn is_huge(value: f64) -> bool {
+    const MOST: f64 = 1e15;
+    value.is_finite() && value.abs() >= MOST
+}
+
 /// The first names of a list, and how many more there are.
 ///
 /// ```

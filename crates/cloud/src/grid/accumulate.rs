@@ -109,9 +109,10 @@ impl Strip {
         }
         if let Some([values, weights]) = self.weighted.get_mut(cell) {
             if distance > 0.0 {
-                let weight = distance.powf(-self.power).min(MOST_WEIGHT);
-                *values = values.saturating_add(fixed(value * weight));
-                *weights = weights.saturating_add(fixed(weight));
+                // One weight in both sums: what is rounded off would count with the whole value in one of them.
+                let steps = fixed(distance.powf(-self.power).min(MOST_WEIGHT));
+                *values = values.saturating_add(fixed(value * (steps as f64 / STEPS)));
+                *weights = weights.saturating_add(steps);
             } else {
                 let (sum, count) = &mut self.centred[cell];
                 *sum = sum.saturating_add(fixed(value));
@@ -208,6 +209,32 @@ fn fill_medians(mut values: Vec<(u32, f64)>, medians: &mut [f64]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn weighted_means_of_times_keep_their_digits() {
+        let frame = Frame { columns: 1, rows: 1, west: 0.0, north: 1.0, cell_m: 1.0 };
+        let options = Options {
+            cell_m: 1.0,
+            stats: vec![("idw".into(), Stat::Idw)],
+            dimensions: Vec::new(),
+            fill_cells: 0,
+            power: 1.0,
+            manner: super::super::Manner::Snapped,
+            noise: super::super::Noise::LeaveOut,
+            shift: None,
+            camera: None,
+            memory_bytes: 0,
+            scratch: std::path::PathBuf::new(),
+            crs_wkt: None,
+        };
+        let mut strip = Strip::new(frame, 0..1, &options, 0);
+        let time = 1.3e9 + 0.123_456;
+        for place in [[0.1, 0.2], [0.37, 0.93], [0.8, 0.41]] {
+            strip.add(place, time, 3.0).expect("no medians");
+        }
+        let found = strip.result(Stat::Idw, 0);
+        assert!((found - time).abs() < 1e-6, "{}", found - time);
+    }
 
     #[test]
     fn deviations_of_values_too_large_to_be_squared_are_none() {

@@ -21,7 +21,7 @@ use crate::schema::{Batch, Field};
 use crate::tiles::Scratch;
 
 use accumulate::Strip;
-use autoref_raster::words::counted;
+use autoref_raster::words::{counted, in_short, with_decimals};
 use place::Place;
 use plane::{Plane, PointFile};
 pub use write::output_paths;
@@ -85,7 +85,7 @@ pub enum Manner {
 /// Which points count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Noise {
-    /// Classes 7 and 18 are left out.
+    /// Classes 7 and 18 are left out, and points that are flagged as withheld, which LAS calls deleted.
     LeaveOut,
     Keep,
 }
@@ -223,8 +223,10 @@ pub struct GridReport {
     #[serde(serialize_with = "autoref_raster::path_text::one")]
     pub input: PathBuf,
     pub points: u64,
-    /// Noise, and points that have no value at all.
+    /// Noise, withheld points, and points that have no value at all.
     pub points_left_out: u64,
+    /// Of these, flagged as withheld; one of class 7 or 18 counts as noise.
+    pub points_withheld: u64,
     /// For each dimension: points without a value of it (NaN, what the file declares for none, beyond 10²⁰).
     pub points_without_value: Vec<u64>,
     /// In which coordinates, and so cells, count.
@@ -279,8 +281,9 @@ fn check_scratch(path: &Path, frame: &Frame, options: &Options, (dimensions, uni
 #[derive(Default)]
 struct Held {
     points: u64,
-    /// Of these, left out as noise.
+    /// Of these, left out as noise, and as withheld.
     noise: u64,
+    withheld: u64,
     left_over: Option<String>,
 }
 
@@ -288,7 +291,8 @@ struct Held {
 fn each_point(path: &Path, options: &Options, mut each: impl FnMut([f64; 3], &[u8]) -> Result<()>) -> Result<Held> {
     let (header, mut reader) = io::open(path)?;
     let shift = options.shift.or(header.shift).unwrap_or([0.0; 3]);
-    let class = header.schema.field("classification").filter(|_| options.noise == Noise::LeaveOut);
+    let noted = |name: &str| header.schema.field(name).filter(|_| options.noise == Noise::LeaveOut);
+    let (class, withheld) = (noted("classification"), noted("withheld"));
     let mut batch = Batch::default();
     let mut held = Held::default();
     loop {
@@ -301,7 +305,7 @@ fn each_point(path: &Path, options: &Options, mut each: impl FnMut([f64; 3], &[u
             held.points += 1;
             let raw = batch.record(&header.schema, index);
             if !xyz.iter().all(|value| value.is_finite()) {
-                let [x, y, z] = xyz;
+                let [x, y, z] = xyz.map(in_short);
                 let what = format!(
                     "the coordinates ({x}, {y}, {z}) are not finite; clean it first with cloud clean --skip-invalid"
                 );
@@ -309,6 +313,10 @@ fn each_point(path: &Path, options: &Options, mut each: impl FnMut([f64; 3], &[u
             }
             if class.is_some_and(|field| matches!(field.value(raw) as u8, 7 | 18)) {
                 held.noise += 1;
+                continue;
+            }
+            if withheld.is_some_and(|field| field.value(raw) == 1.0) {
+                held.withheld += 1;
                 continue;
             }
             each([0, 1, 2].map(|axis| xyz[axis] + shift[axis]), raw)?;
@@ -519,7 +527,7 @@ fn extent(path: &Path, options: &Options) -> Result<(Extent, Held)> {
         let what = if held.points == 0 {
             "there are none; leave the file out"
         } else {
-            "all of them are noise; take them in with --keep-noise"
+            "all of them are noise or withheld; take them in with --keep-noise"
         };
         return Err(Error::format(path, "points", what));
     }
@@ -539,10 +547,20 @@ pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport>
     let find = |dimension: &Dimension| Source::find(path, &dimension.name, &header, options);
     let sources: Vec<Source> = options.dimensions.iter().map(find).collect::<Result<_>>()?;
     let place = Place::of(&header, options, &mut notes);
-    let (Extent { min, max }, Held { points, noise, left_over }) = extent(path, options)?;
+    let (Extent { min, max }, Held { points, noise, withheld, left_over }) = extent(path, options)?;
     notes.extend(left_over);
+    if withheld > 0 {
+        let are = counted(withheld, "point is", "points are");
+        notes.push(format!("{are} flagged as withheld and left out; --keep-noise takes them in"));
+    }
     let too_wide = |needed: u64| Error::Limit {
-        what: format!("{}: a grid of {:.0} × {:.0} {}", path.display(), max[0] - min[0], max[1] - min[1], place.unit),
+        what: format!(
+            "{}: a grid of {} × {} {}",
+            path.display(),
+            with_decimals(max[0] - min[0], 0),
+            with_decimals(max[1] - min[1], 0),
+            place.unit
+        ),
         needed,
         allowed: options.memory_bytes,
         remedy: "raise --cell or --memory, or clean the cloud first".into(),
@@ -585,7 +603,8 @@ pub fn grid(path: &Path, folder: &Path, options: &Options) -> Result<GridReport>
     Ok(GridReport {
         input: path.to_path_buf(),
         points,
-        points_left_out: noise + lacking.all,
+        points_left_out: noise + withheld + lacking.all,
+        points_withheld: withheld,
         points_without_value: lacking.each,
         unit: place.unit,
         notes,

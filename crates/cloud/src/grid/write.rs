@@ -24,6 +24,9 @@ const LOOKED_AT_BYTES: u64 = 16;
 /// What GDAL and PDAL take for elevation models.
 const NODATA: f64 = -9999.0;
 
+/// So many steps from it on, GDAL tells a float from it.
+const BESIDE_STEPS: usize = 16;
+
 /// What is in a band.
 enum Content {
     /// A statistic as measured.
@@ -140,8 +143,14 @@ impl Grid<'_> {
         let plain = path.with_extension("plain.tif");
         // Places and times need more digits than a single has.
         let made = match self.dimension {
-            "x" | "y" | "gps_time" => self.write_plain::<f64>(&plain, bands, |value| value),
-            _ => self.write_plain::<f32>(&plain, bands, |value| value as f32),
+            "x" | "y" | "gps_time" => {
+                let beside = (0..BESIDE_STEPS).fold(NODATA, |value, _| value.next_up());
+                self.write_plain::<f64>(&plain, bands, beside, |value| value)
+            }
+            _ => {
+                let beside = (0..BESIDE_STEPS).fold(NODATA as f32, |value, _| value.next_up());
+                self.write_plain::<f32>(&plain, bands, beside, |value| value as f32)
+            }
         };
         let made = made.and_then(|()| {
             let cog = DriverManager::get_driver_by_name("COG").map_err(failed)?;
@@ -160,10 +169,12 @@ impl Grid<'_> {
         made
     }
 
-    fn write_plain<T: GdalType + Copy>(
+    /// A value that would be read as nothing becomes `beside`.
+    fn write_plain<T: GdalType + Copy + PartialEq>(
         &self,
         path: &Path,
         bands: &[(Content, String)],
+        beside: T,
         cast: impl Fn(f64) -> T,
     ) -> Result<()> {
         let failed = |e: gdal::errors::GdalError| failed_to_write(path, &e.to_string());
@@ -199,8 +210,13 @@ impl Grid<'_> {
             for begin in (0..rows).step_by(self.together) {
                 let count = self.together.min(rows - begin);
                 let values = self.rows(content, begin, count).map_err(|e| scratch(self.options, e))?;
-                let values: Vec<T> =
-                    values.into_iter().map(|value| cast(if value.is_nan() { NODATA } else { value })).collect();
+                let void = cast(NODATA);
+                let stored = |value: f64| match cast(value) {
+                    _ if value.is_nan() => void,
+                    stored if stored == void => beside,
+                    stored => stored,
+                };
+                let values: Vec<T> = values.into_iter().map(stored).collect();
                 let mut buffer = Buffer::new((columns, count), values);
                 band.write((0, begin as isize), (columns, count), &mut buffer).map_err(failed)?;
             }

@@ -41,6 +41,8 @@ pub struct LasHeader {
     pub vlrs: Vec<Vlr>,
     /// What was passed over, in words.
     pub notes: Vec<String>,
+    /// Extended records that are too large for what is written, in words.
+    pub not_kept: Vec<String>,
 }
 
 /// Bytes of a record of each point format without extra bytes.
@@ -129,6 +131,7 @@ impl LasHeader {
             min: [bounds[1], bounds[3], bounds[5]],
             vlrs: Vec::new(),
             notes: Vec::new(),
+            not_kept: Vec::new(),
             raw,
         };
         header.read_vlrs(path, file)?;
@@ -209,7 +212,7 @@ impl LasHeader {
             // The hierarchy of COPC and waveforms belong to this file.
             let is_own = user_id == "copc" || (user_id == "LASF_Spec" && record_id == 65_535);
             if !is_own && bytes > left.min(65_535) {
-                self.notes.push(format!("the extended record `{user_id}` {record_id} of {bytes} bytes is not kept"));
+                self.not_kept.push(format!("the extended record `{user_id}` {record_id} of {bytes} bytes is not kept"));
             } else if !is_own {
                 left -= bytes;
                 let mut content = vec![0; bytes as usize];

@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use autoref_raster::crs::Crs;
+use autoref_raster::words::in_short;
 use laz::LazVlr;
 
 use super::las_fields::{FULL, IN_FULL, describe_extra};
@@ -293,7 +294,7 @@ pub(super) fn make(path: &Path, target: &Target<'_>, schema: &Schema) -> Result<
     let scale = [step(extent, target.source.precision); 3];
     if !matches!(target.source.precision, Precision::Steps(_)) && scale[0] > COARSEST_STEP {
         let [low, high] = [target.min, target.max].map(|at| at.map(|v| format!("{v:.6e}")).join(", "));
-        let what = format!("coordinates from ({low}) to ({high}): LAS would round them all to {}", scale[0]);
+        let what = format!("coordinates from ({low}) to ({high}): LAS would round them all to {}", in_short(scale[0]));
         let remedy = "drop the stray points (--z or --crop, with --drop noise), or name the output .ply";
         return Err(Error::unsupported(path, what, remedy));
     }

@@ -25,6 +25,10 @@ struct TextReader {
     /// How many rows the file says that this scan has, and how many of them were read.
     count: Option<Count>,
     counted: u64,
+    /// Rows whose first column counts on, as numbers of points do; `None` where one does not, or its title says what it
+    /// is.
+    numbered: Option<u64>,
+    before: f64,
 }
 
 pub(super) fn open(path: &Path) -> Result<(Header, Box<dyn PointReader>)> {
@@ -57,10 +61,13 @@ fn begin(path: &Path) -> Result<(Schema, TextReader)> {
             format!("{columns} columns; x, y, z are needed"),
         ));
     }
+    let numbered = head.may_begin_with_numbers().then_some(0);
     let names = text_head::names_of(path, head, line)?;
     let axes = text_head::axes_among(path, &names)?;
     let schema = text_head::schema_of(&names, axes);
-    Ok((schema, TextReader { path: path.to_path_buf(), file, axes, columns, line, bytes, count, counted: 0 }))
+    let path = path.to_path_buf();
+    let reader = TextReader { path, file, axes, columns, line, bytes, count, counted: 0, numbered, before: f64::NAN };
+    Ok((schema, reader))
 }
 
 /// The limits of 8 bits, where the first rows with a colour have no larger ones; a table says nothing of their kind.
@@ -109,6 +116,14 @@ impl TextReader {
         }
     }
 
+    /// Looks whether the first column counts on.
+    fn look_at_number(&mut self, first: f64) {
+        let Some(rows) = self.numbered else { return };
+        let goes_on = first.fract() == 0.0 && (rows == 0 || first == self.before + 1.0);
+        self.numbered = goes_on.then_some(rows + 1);
+        self.before = first;
+    }
+
     /// Takes a line that is no row: an empty one, a remark, or the count of the next scan of a file that counts.
     fn take_other(&mut self, columns: usize) -> Result<()> {
         let text = text_of(&mut self.bytes);
@@ -143,9 +158,21 @@ impl PointReader for TextReader {
                 }
             }
             self.counted += 1;
+            if self.numbered.is_some() {
+                self.look_at_number(Kind::F64.read(&batch.raw[begin..]));
+            }
             batch.xyz.push(self.axes.map(|axis| Kind::F64.read(&batch.raw[begin + 8 * axis..])));
         }
         Ok(())
+    }
+
+    fn left_over(&mut self) -> Result<Option<String>> {
+        const FEWEST: u64 = 3;
+        Ok(self.numbered.filter(|rows| *rows >= FEWEST).map(|_| {
+            "the first column counts the rows and was read as x: put a head above them that names the columns (ID X Y \
+             Z)"
+            .into()
+        }))
     }
 }
 
@@ -195,6 +222,30 @@ mod tests {
                 return Ok((points, header.schema.fields.iter().map(|field| field.name.clone()).collect()));
             }
             points += batch.len();
+        }
+    }
+
+    #[test]
+    fn numbers_of_points_are_told() {
+        let note = |table: &str| {
+            let folder = tempfile::tempdir().expect("a folder");
+            let path = folder.path().join("table.txt");
+            std::fs::write(&path, table).expect("a file");
+            let (_, mut reader) = open(&path).expect("a table");
+            let mut batch = Batch::default();
+            while reader.read(&mut batch, 2).is_ok() && !batch.is_empty() {}
+            reader.left_over().expect("nothing is read for it")
+        };
+        let told = note("7 500 600 1\n8 501 601 2\n9 502 602 3\n").expect("a note");
+        assert!(told.contains("first column") && told.contains("ID X Y Z"), "{told}");
+        for table in [
+            "7 500 600\n8 501 601\n9 502 602\n",
+            "ID X Y Z\n7 500 600 1\n8 501 601 2\n9 502 602 3\n",
+            "7 500 600 1\n8 501 601 2\n10 502 602 3\n",
+            "7.5 500 600 1\n8.5 501 601 2\n9.5 502 602 3\n",
+            "7 500 600 1\n8 501 601 2\n",
+        ] {
+            assert_eq!(note(table), None, "{table}");
         }
     }
 

@@ -73,6 +73,14 @@ pub(super) struct Head {
     unnamed: &'static [&'static str],
 }
 
+impl Head {
+    /// Whether nothing says what the columns are, of which the first may be a number of the point.
+    pub(super) fn may_begin_with_numbers(&self) -> bool {
+        let is_named = self.names.as_ref().is_some_and(|names| !names.in_remark || names.words.len() == self.columns);
+        !is_named && self.unnamed.is_empty() && self.columns >= 4
+    }
+}
+
 /// What the columns behind x, y and z of a PTS file are: intensity, red, green and blue, or some of them.
 fn columns_of_pts(path: &Path, row: &[&str]) -> &'static [&'static str] {
     const ALL: [&str; 4] = ["intensity", "red", "green", "blue"];

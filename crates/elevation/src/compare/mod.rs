@@ -155,7 +155,7 @@ impl CompareJob<'_> {
         self.resources.check()?;
         debug_assert!(self.resources.memory_budget_bytes >= SMALLEST_BUDGET_BYTES);
         let couple = open_couple(self.a, self.b)?;
-        let zones = self.zones.map(|path| read_zones(path, couple.b.wkt())).transpose()?;
+        let zones = self.zones.map(|path| read_zones(path, couple.b.wkt(), couple.b.grid().bounds())).transpose()?;
         let means = self.resources.means(&[&couple.a, &couple.b]);
         let grid = couple.b.grid();
         let nothing = || {
@@ -316,7 +316,9 @@ impl CompareJob<'_> {
             let n = classes.moments[classes.groups.first_zone + zone].n;
             Ok(classes.volume(zone, zone_area_m2, cell_m, mean_error(n, Some(zone as u32))?))
         });
-        let volumes = volumes.collect::<Result<_>>()?;
+        let volumes: Vec<Volume> = volumes.collect::<Result<_>>()?;
+        let empty: Vec<String> = volumes.iter().filter(|v| v.n == 0).map(|v| v.zone.clone()).collect();
+        let empty = crate::turns::note_of_outside(&empty).into_iter().collect();
         let statistics: Vec<Statistics> =
             (0..classes.groups.names.len()).map(|group| classes.statistics(group)).collect();
         let (mean_se_m, effective_n) = mean_error(classes.moments[0].n, None)?.unzip();
@@ -328,7 +330,7 @@ impl CompareJob<'_> {
             grid: "B".into(),
             resampling: scan.a.way(self.resampling),
             heights: couple.heights.to_string(),
-            warnings: [couple.doubtful_units.clone(), first.zeros.notes(all.n, self.a, self.b)].concat(),
+            warnings: [couple.doubtful_units.clone(), first.zeros.notes(all.n, self.a, self.b), empty].concat(),
             cells: scan.grid.width * scan.grid.height,
             common_cells: all.n,
             within_m: self.within_m,

@@ -41,7 +41,7 @@ impl<'a> OnGrid<'a> {
     pub(super) fn new(a: &'a dyn Heights, grid: Grid, resampling: Interpolation) -> OnGrid<'a> {
         let cell = |g: &Grid| (g.step_x * g.step_y).abs();
         if (cell(&grid) / cell(&a.grid())).sqrt() > Self::FINER {
-            OnGrid::Under(Footprints::new(a, grid, (0.0, 0.0)))
+            OnGrid::Under(Footprints::new(a, grid, (0.0, 0.0)).sloping())
         } else {
             OnGrid::Between(Resampled::new(a, grid, (0.0, 0.0), resampling))
         }
@@ -237,6 +237,39 @@ fn aspect(east: f64, north: f64) -> Option<u16> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::source::MemoryHeights;
+
+    /// Cells of 7 and 8.5 under cells of 10, offset, rows north up or south up: a plane is one after the mean too,
+    /// beside a hole of either model as well.
+    #[test]
+    fn means_of_a_plane_lie_on_it() {
+        let plane = |x: f64, y: f64| 0.35 * x - 0.6 * y;
+        let heights = |grid: Grid, hole: u64| {
+            let at = |i: u64, step: f64| (i as f64 + 0.5) * step;
+            let values = (0..grid.height).flat_map(|j| (0..grid.width).map(move |i| (i, j))).map(|(i, j)| {
+                let is_hole = i / hole == 1 && j / hole == 1;
+                if is_hole { f64::NAN } else { plane(grid.x0 + at(i, grid.step_x), grid.y0 + at(j, grid.step_y)) }
+            });
+            MemoryHeights::new(grid, values.collect())
+        };
+        for (step_x, step_y, down) in [(7.0, 8.5, -1.0), (8.5, 7.0, 1.0), (5.0, 9.4, -1.0)] {
+            let fine = Grid { x0: -18.7, y0: -23.1 * down, step_x, step_y: step_y * down, width: 60, height: 60 };
+            let grid = Grid { x0: 0.0, y0: 0.0, step_x: 10.0, step_y: 10.0 * down, width: 30, height: 30 };
+            let (a, b) = (heights(fine, 16), heights(grid, 9));
+            let unit = GroundUnit::Projected { metres_per_unit: 1.0 };
+            let a = OnGrid::new(&a, grid, Interpolation::Bilinear);
+            let limits = (f64::NEG_INFINITY, f64::INFINITY);
+            let scan = Scan { grid, unit, a, b: &b, zones: None, slope_limits: &[], limits };
+            let mut seen = 0;
+            let window = Window { x: 0, y: 0, width: 30, height: 30 };
+            let see = |cell: Cell<'_>| {
+                seen += 1;
+                assert!(cell.difference.abs() < 1e-5, "{} {}: {}", cell.x, cell.y, cell.difference);
+            };
+            scan.cells(window, &mut Buffers::default(), see).expect("memory");
+            assert!(seen > 600, "{seen}");
+        }
+    }
 
     #[test]
     fn aspects_are_those_of_the_angle() {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use autoref_raster::words::counted;
+use autoref_raster::words::{counted, some_of};
 use autoref_raster::{same_unit, set_unit};
 use gdal::raster::{ColorEntry, ColorInterpretation, ColorTable, GdalDataType, PaletteInterpretation};
 use gdal::{Dataset, Metadata};
@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::model::how_to_name_crs;
 
 use super::form::BandForm;
-use super::source::Source;
+use super::source::{DatedBy, Source};
 
 /// All sources need one form: bands and what they mean, sample type, scale, unit, palette and CRS.
 pub fn check_alike(sources: &[Source]) -> Result<()> {
@@ -109,6 +109,20 @@ pub fn notes(sources: &[Source]) -> Vec<String> {
         }
     }
     notes
+}
+
+/// What to say where some sources are dated by their metadata or names, and others by when their files were written.
+pub fn note_of_dates(sources: &[Source]) -> Option<String> {
+    let (by_file, others): (Vec<&Source>, Vec<&Source>) = sources.iter().partition(|s| s.dated_by == DatedBy::File);
+    if by_file.is_empty() || others.is_empty() {
+        return None;
+    }
+    let names: Vec<String> = by_file.iter().map(|source| source.path.display().to_string()).collect();
+    Some(format!(
+        "--choose newest: neither metadata nor name dates {}: when the file was written counts, while others go by what \
+         they say",
+        some_of(&names)
+    ))
 }
 
 /// What the sources that say it call the unit of a band.

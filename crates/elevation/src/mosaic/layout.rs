@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 
 use autoref_raster::protected::protect;
 
+use crate::couple::TURN_DEGREES;
 use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::output;
 
-use super::alike::check_alike;
+use super::alike::{check_alike, check_one_crs};
 use super::companion::{companion_path, companions, open_companion};
 use super::rule::Choice;
 use super::source::{SNAP_PX, Source};
@@ -40,13 +41,19 @@ pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) ->
         .fold(origin.bounds(), |a, b| [a[0].min(b[0]), a[1].min(b[1]), a[2].max(b[2]), a[3].max(b[3])]);
     // Whole cells from the first one's corner; a hundredth of a cell is no reason for another one.
     let cells = |from: f64, to: f64, step: f64| ((to - from) / step.abs() - SNAP_PX).ceil().max(0.0);
-    let (left, up) = (cells(bounds[0], origin.x0, step_x), cells(origin.y0, bounds[3], step_y));
+    let turn = turn::one_turn(&sources, bounds);
+    let west = turn.unwrap_or(bounds[0]);
+    let (left, up) = (cells(west, origin.x0, step_x), cells(origin.y0, bounds[3], step_y));
+    let across = match turn {
+        Some(_) => cells(0.0, TURN_DEGREES, step_x),
+        None => left + cells(origin.x0, bounds[2], step_x),
+    };
     let grid = Grid {
         x0: origin.x0 - left * step_x,
         y0: origin.y0 - up * step_y,
         step_x,
         step_y,
-        width: (left + cells(origin.x0, bounds[2], step_x)).max(1.0) as u64,
+        width: across.max(1.0) as u64,
         height: (up + cells(bounds[1], origin.y0, step_y)).max(1.0) as u64,
     };
     let block_px = output::block_px(sources[0].bands);
@@ -59,7 +66,11 @@ pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) ->
     }
     let mut taken = HashMap::new();
     for source in &mut sources {
+        if turn.is_some() {
+            turn::place_in(source, &grid)?;
+        }
         source.snap(&grid);
+        source.again.iter_mut().for_each(|again| again.snap(&grid));
         if let Choice::Min(pattern) = choice {
             let path = companion_path(&source.path, pattern);
             if let Some(other) = taken.insert(path.clone(), source.path.clone()) {
@@ -73,18 +84,25 @@ pub fn open_all(inputs: &[PathBuf], choice: &Choice, resolution: Option<f64>) ->
                     "give each source a companion of its own, named by the whole {stem}",
                 ));
             }
+            for again in &mut source.again {
+                again.companion = Some(Box::new(open_companion(again, path.clone(), &grid)?));
+            }
             source.companion = Some(Box::new(open_companion(source, path, &grid)?));
         }
     }
     Ok((sources, grid))
 }
 
-/// An index raster, which must have the mosaic's grid.
+/// An index raster, which must have the mosaic's grid and the CRS of its sources.
 ///
 /// # Errors
-/// When it cannot be opened, or has another grid than `grid`.
-pub fn open_index(path: &Path, grid: &Grid) -> Result<Source> {
+/// When it cannot be opened, or has another grid than `grid`, or another CRS than `first`.
+pub fn open_index(path: &Path, first: &Source, grid: &Grid) -> Result<Source> {
     let mut index = Source::open(path)?;
+    check_one_crs(first, &index).map_err(|e| match e {
+        Error::Unsupported { what, remedy, .. } => Error::unsupported(path, what, remedy),
+        other => other,
+    })?;
     index.snap(grid);
     let same = index.on_grid && (index.grid.x0, index.grid.y0) == (grid.x0, grid.y0);
     if !same || (index.grid.width, index.grid.height) != (grid.width, grid.height) {

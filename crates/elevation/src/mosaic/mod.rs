@@ -127,9 +127,16 @@ impl MosaicJob<'_> {
         self.resources.check()?;
         self.check_rules()?;
         let (sources, grid) = layout::open_all(self.inputs, &self.choice, self.resolution)?;
-        let index = self.use_index.map(|path| layout::open_index(path, &grid)).transpose()?;
+        let index = self.use_index.map(|path| layout::open_index(path, &sources[0], &grid)).transpose()?;
+        let one_turn = turn::note_of_one_turn(&sources, &grid);
         let mut balance = match self.balance {
             Some(surface) => {
+                if let Some(what) = &one_turn {
+                    return Err(Error::usage(
+                        format!("--balance: {what}"),
+                        "leave --balance away, or cut that source with gdal_translate -projwin so that it ends there",
+                    ));
+                }
                 let balancing = Balancing { surface, reference: self.reference()? };
                 let threads = self.threads(&sources);
                 let reading =
@@ -177,6 +184,8 @@ impl MosaicJob<'_> {
         }
         files.commit()?;
         let mut notes = alike::notes(&sources);
+        notes.extend(one_turn);
+        notes.extend(alike::note_of_dates(&sources).filter(|_| self.choice == Choice::Newest));
         notes.extend(companion::without_companion(&sources, &grid, &counts.uncosted));
         Ok(Made {
             notes,

@@ -127,6 +127,20 @@ impl Opened {
         window: Window,
         interpolation: Interpolation,
     ) -> Result<Vec<f64>> {
+        let mut all = self.read_at_one_place(source, mosaic, window, interpolation)?;
+        for again in source.again.iter().filter(|again| again.meets(mosaic, window)) {
+            fill(&mut all, &self.read_at_one_place(again, mosaic, window, interpolation)?);
+        }
+        Ok(all)
+    }
+
+    fn read_at_one_place(
+        &mut self,
+        source: &Source,
+        mosaic: &Grid,
+        window: Window,
+        interpolation: Interpolation,
+    ) -> Result<Vec<f64>> {
         // Between two classes of a palette lies none.
         let whole = source.on_grid || !source.palette.is_empty();
         let interpolation = if whole { Interpolation::Nearest } else { interpolation };
@@ -207,6 +221,9 @@ impl Opened {
         let Some(companion) = &source.companion else { return Ok(vec![f64::INFINITY; window.area() as usize]) };
         let mut costs = self.read(companion, mosaic, window, Interpolation::Bilinear)?;
         costs.truncate(window.area() as usize);
+        for again in source.again.iter().filter(|again| again.meets(mosaic, window)) {
+            fill(&mut costs, &self.read_companion(again, mosaic, window)?);
+        }
         Ok(costs)
     }
 }
@@ -226,6 +243,11 @@ impl Source {
             }
         }
     }
+}
+
+/// Puts others where there is nothing.
+fn fill(values: &mut [f64], others: &[f64]) {
+    values.iter_mut().zip(others).filter(|(value, _)| value.is_nan()).for_each(|(value, other)| *value = *other);
 }
 
 /// The values of two windows that lie beside each other, as one; rows of all bands lie below each other.

@@ -35,8 +35,20 @@ pub struct Source {
     pub on_grid: bool,
     /// Sorts by time.
     pub date: String,
+    pub dated_by: DatedBy,
     /// What its cells cost.
     pub companion: Option<Box<Source>>,
+    /// The same a whole turn away, where the mosaic runs around the Earth and this lies over its end.
+    pub again: Vec<Source>,
+}
+
+/// What says a source's date.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DatedBy {
+    Metadata,
+    Name,
+    /// When the file was written.
+    File,
 }
 
 /// Cells that lie this near to cells of the mosaic are taken to be them, in cells.
@@ -63,6 +75,7 @@ impl Source {
             })?;
         let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
         autoref_raster::refuse_signed_bytes(path, &band)?;
+        let (date, dated_by) = date_of(path, &dataset);
         Ok(Source {
             forms: form::of_bands(path, &dataset)?,
             masked: masked::has_mask(path, &band)?,
@@ -75,8 +88,10 @@ impl Source {
             unit: unit_of(&dataset),
             wkt: dataset.projection(),
             on_grid: true,
-            date: date_of(path, &dataset),
+            date,
+            dated_by,
             companion: None,
+            again: Vec::new(),
         })
     }
 
@@ -101,7 +116,8 @@ impl Source {
         let top = mosaic.y0 + window.y as f64 * mosaic.step_y;
         let right = left + window.width as f64 * mosaic.step_x;
         let bottom = top + window.height as f64 * mosaic.step_y;
-        west < right && east > left && south < top && north > bottom
+        let here = west < right && east > left && south < top && north > bottom;
+        here || self.again.iter().any(|again| again.meets(mosaic, window))
     }
 
     /// The cells that a window of the mosaic needs, with neighbours.
@@ -143,13 +159,24 @@ impl Source {
     /// From the source's centre, in units of y.
     pub fn distances(&self, mosaic: &Grid, window: Window) -> Vec<f64> {
         let (x0, y0) = self.grid.centre();
-        self.each(mosaic, window, |x, y, ratio| (ratio * (x - x0)).hypot(y - y0))
+        let mut all = self.each(mosaic, window, |x, y, ratio| (ratio * (x - x0)).hypot(y - y0));
+        for again in &self.again {
+            let other = again.distances(mosaic, window);
+            all.iter_mut().zip(other).for_each(|(distance, other)| *distance = distance.min(other));
+        }
+        all
     }
 
     /// From the nearest edge of the source's grid, in units of y; negative beyond it.
     pub fn edge_distances(&self, mosaic: &Grid, window: Window) -> Vec<f64> {
         let [west, south, east, north] = self.grid.bounds();
-        self.each(mosaic, window, |x, y, ratio| (ratio * (x - west).min(east - x)).min(y - south).min(north - y))
+        let mut all =
+            self.each(mosaic, window, |x, y, ratio| (ratio * (x - west).min(east - x)).min(y - south).min(north - y));
+        for again in &self.again {
+            let other = again.edge_distances(mosaic, window);
+            all.iter_mut().zip(other).for_each(|(distance, other)| *distance = distance.max(other));
+        }
+        all
     }
 
     /// Brings the grid to the mosaic's where it is nearly there.
@@ -176,7 +203,14 @@ fn unit_of(dataset: &Dataset) -> GroundUnit {
 }
 
 /// A date that sorts: of the metadata, else eight digits of the name, else the file's own.
-fn date_of(path: &Path, dataset: &Dataset) -> String {
+fn date_of(path: &Path, dataset: &Dataset) -> (String, DatedBy) {
+    const DAY: std::time::Duration = std::time::Duration::from_secs(86_400);
+    let day = |time: std::time::SystemTime| {
+        let ((year, month, day), _) = autoref_raster::dates::civil(time);
+        format!("{year:04}{month:02}{day:02}")
+    };
+    // It is tomorrow already where the sun rises first.
+    let latest = day(std::time::SystemTime::now() + DAY);
     let digits = |text: &str| text.chars().filter(char::is_ascii_digit).collect::<String>();
     let plausible = |run: &str| {
         let number = |range: std::ops::Range<usize>| run[range].parse::<u32>().unwrap_or(0);
@@ -187,18 +221,18 @@ fn date_of(path: &Path, dataset: &Dataset) -> String {
             let value = digits(&value);
             // A camera whose clock was never set writes zeros.
             if value.len() >= 8 && plausible(&value) {
-                return value;
+                return (value, DatedBy::Metadata);
             }
         }
     }
     let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let mut runs = name.split(|c: char| !c.is_ascii_digit());
-    if let Some(run) = runs.rfind(|run| run.len() == 8 && plausible(run)) {
-        return run.to_string();
+    // What lies ahead is a number of another kind.
+    if let Some(run) = runs.rfind(|run| run.len() == 8 && plausible(run) && *run <= latest.as_str()) {
+        return (run.to_string(), DatedBy::Name);
     }
     let modified = std::fs::metadata(path).and_then(|m| m.modified()).ok();
-    let ((year, month, day), _) = autoref_raster::dates::civil(modified.unwrap_or(std::time::UNIX_EPOCH));
-    format!("{year:04}{month:02}{day:02}")
+    (day(modified.unwrap_or(std::time::UNIX_EPOCH)), DatedBy::File)
 }
 
 #[cfg(test)]
@@ -215,7 +249,17 @@ mod tests {
             let mut made = driver.create_with_band_type::<u8, _>(&path, 2, 2, 1).expect("made");
             made.set_metadata_item("TIFFTAG_DATETIME", said, "").expect("set");
             made.close().expect("written");
-            assert_eq!(date_of(&path, &Dataset::open(&path).expect("opens")), date);
+            assert_eq!(date_of(&path, &Dataset::open(&path).expect("opens")).0, date);
+        }
+        for (name, by) in [
+            ("x_20230514.tif", DatedBy::Name),
+            ("x_21511230.tif", DatedBy::File),
+            ("x_18491231.tif", DatedBy::File),
+            ("x_18500101.tif", DatedBy::Name),
+        ] {
+            let path = folder.path().join(name);
+            driver.create_with_band_type::<u8, _>(&path, 2, 2, 1).and_then(Dataset::close).expect("written");
+            assert_eq!(date_of(&path, &Dataset::open(&path).expect("opens")).1, by, "{name}");
         }
     }
 }

@@ -2,9 +2,11 @@
 
 use crate::couple::TURN_DEGREES;
 use crate::crs::Crs;
+use crate::error::Result;
 use crate::grid::Grid;
+use autoref_raster::words::counted;
 
-use super::source::Source;
+use super::source::{SNAP_PX, Source};
 
 /// Longitudes that differ by less are one, degrees.
 const SAME_DEGREES: f64 = 1e-6;
@@ -20,6 +22,56 @@ pub fn bring_together(sources: &mut [Source]) {
     for (source, turns) in sources.iter_mut().zip(turns) {
         source.grid.x0 += turns * TURN_DEGREES;
     }
+}
+
+/// The west of one turn, where sources in degrees that lie within these bounds are together wider, and hold some ground
+/// twice: that of the widest source, and so that the first one begins within the turn.
+pub fn one_turn(sources: &[Source], [west, _, east, _]: [f64; 4]) -> Option<f64> {
+    let first = sources.first().filter(|_| sources.len() > 1)?;
+    if east - west <= TURN_DEGREES + SNAP_PX * first.grid.step_x || !is_in_degrees(first) {
+        return None;
+    }
+    let extents = sources.iter().map(|source| west_and_east(&source.grid));
+    let widest = extents.reduce(|a, b| if b.1 - b.0 > a.1 - a.0 + SAME_DEGREES { b } else { a })?;
+    let turns = ((first.grid.x0 - widest.0 + SAME_DEGREES) / TURN_DEGREES).floor();
+    Some(widest.0 + turns * TURN_DEGREES)
+}
+
+/// Brings a source by whole turns to where most of it lies in a mosaic of one turn, and again to where the rest does.
+///
+/// # Errors
+/// When it cannot be opened a second time.
+pub fn place_in(source: &mut Source, mosaic: &Grid) -> Result<()> {
+    let ((west, east), (left, right)) = (west_and_east(&source.grid), west_and_east(mosaic));
+    let common = |turns: f64| (east + turns * TURN_DEGREES).min(right) - (west + turns * TURN_DEGREES).max(left);
+    let mut turns = [0.0, 1.0, -1.0, 2.0, -2.0];
+    turns.sort_by(|a, b| common(*b).total_cmp(&common(*a)));
+    let x0 = source.grid.x0;
+    source.grid.x0 = x0 + turns[0] * TURN_DEGREES;
+    let others = turns[1..].iter().filter(|turns| common(**turns) > SNAP_PX * mosaic.step_x);
+    for turns in others {
+        let mut again = Source::open(&source.path)?;
+        again.grid.x0 = x0 + turns * TURN_DEGREES;
+        source.again.push(again);
+    }
+    Ok(())
+}
+
+/// What to say where sources lie at both ends of a mosaic that runs around the Earth.
+pub fn note_of_one_turn(sources: &[Source], mosaic: &Grid) -> Option<String> {
+    let twice: Vec<&Source> = sources.iter().filter(|source| !source.again.is_empty()).collect();
+    let degrees = |longitude: f64| (longitude * 1e9).round() / 1e9;
+    let (west, east) = west_and_east(mosaic);
+    let (west, east) = (degrees(west), degrees(east));
+    let first = twice.first()?;
+    let who = match twice.len() - 1 {
+        0 => format!("{} lies", first.path.display()),
+        n => format!("{} and {} lie", first.path.display(), counted(n, "other", "others")),
+    };
+    Some(format!(
+        "the sources are together wider than 360°: the mosaic ends after one turn, from {west}° to {east}°, and {who} \
+         at both of its ends"
+    ))
 }
 
 /// The companion's grid by whole turns nearest to that of its source.

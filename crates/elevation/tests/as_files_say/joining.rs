@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use autoref_elevation::derive;
-use autoref_elevation::mosaic::{Choice, Made, MosaicJob};
+use autoref_elevation::mosaic::{Choice, Made, MosaicJob, Surface};
 use autoref_elevation::resample::Interpolation;
 use gdal::raster::{ColorInterpretation, GdalType};
+use gdal::spatial_ref::SpatialRef;
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags, Metadata};
 
 use super::{create, put, read, resources};
@@ -236,6 +237,83 @@ fn tiles_on_both_sides_of_180_degrees_are_one_mosaic() {
     let out = at("cheapest.tif");
     let made = made(&MosaicJob { choice: Choice::Min("{stem}_cost.tif".into()), ..job(&inputs, &out) });
     assert_eq!((made.width, made.filled_cells), (40, 400));
+}
+
+/// A source around the Earth, and one over its end: the mosaic is one turn wide, and no ground is in it twice.
+#[test]
+fn sources_over_both_ends_of_the_earth_are_cut_to_one_turn() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let band = |name: &str, west: f64, degrees: usize, value: i16| {
+        let set = create::<i16>(&at(name), (degrees, 10), 1, "EPSG:4326", [west, 1.0, 0.0, 5.0, 0.0, -1.0]);
+        put(&set, 1, vec![value; 10 * degrees]);
+        at(name)
+    };
+    let out = at("o.tif");
+    let row = |out: &Path| read(out, 1)[..360].iter().map(|value| *value as i64).collect::<Vec<_>>();
+    let (earth, over) = (band("earth.tif", -180.0, 360, 1), band("over.tif", 175.0, 10, 2));
+    for (inputs, choice) in [
+        ([earth.clone(), over.clone()], Choice::Last),
+        ([over.clone(), earth.clone()], Choice::First),
+        ([earth.clone(), over.clone()], Choice::Min("{stem}_cost.tif".into())),
+    ] {
+        band("earth_cost.tif", -180.0, 360, 2);
+        band("over_cost.tif", 175.0, 10, 1);
+        let found = made(&MosaicJob { choice, ..job(&inputs, &out) });
+        assert_eq!((found.width, found.filled_cells), (360, 3600));
+        assert!((found.geotransform[0] - -180.0).abs() < 1e-9, "{:?}", found.geotransform);
+        let wanted: Vec<i64> = (0..360).map(|x| if (5..355).contains(&x) { 1 } else { 2 }).collect();
+        assert_eq!(row(&out), wanted);
+        assert!(found.notes.iter().any(|note| note.contains("from -180° to 180°")), "{:?}", found.notes);
+    }
+    let inputs = [earth.clone(), over];
+    let refused = refusal(&MosaicJob { balance: Some(Surface::None), ..job(&inputs, &out) });
+    assert!(refused.contains("over.tif") && refused.contains("projwin"), "{refused}");
+    // Both around the Earth, counted from elsewhere, one by half a cell off the other's cells.
+    let inputs = [band("from_0.tif", 0.5, 360, 3), earth];
+    for choice in [Choice::First, Choice::Last, Choice::Median, Choice::Feather] {
+        let wanted = if choice == Choice::First { vec![3; 360] } else { vec![1; 360] };
+        let mixed = matches!(choice, Choice::Median | Choice::Feather);
+        let found = made(&MosaicJob { choice, ..job(&inputs, &out) });
+        assert_eq!((found.width, found.filled_cells), (360, 3600));
+        assert!((found.geotransform[0] - 0.5).abs() < 1e-9, "{:?}", found.geotransform);
+        if mixed {
+            assert!(row(&out).iter().all(|value| (1..=3).contains(value)));
+        } else {
+            assert_eq!(row(&out), wanted);
+        }
+    }
+}
+
+#[test]
+fn an_index_has_the_crs_of_its_sources() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let (out, index) = (at("o.tif"), at("index.tif"));
+    let inputs =
+        [plate(&at("a.tif"), 0.0, (20, 10), None, |_, _| 10u8), plate(&at("b.tif"), 10.0, (20, 10), None, |_, _| 20u8)];
+    made(&MosaicJob { write_index: Some(&index), ..job(&inputs, &out) });
+    made(&MosaicJob { use_index: Some(&index), ..job(&inputs, &out) });
+    let mut set = update(&index);
+    set.set_spatial_ref(&SpatialRef::from_definition("EPSG:32632").expect("PROJ knows it")).expect("set");
+    set.close().expect("written");
+    let refused = refusal(&MosaicJob { use_index: Some(&index), ..job(&inputs, &out) });
+    assert!(refused.contains("index.tif") && refused.contains("another CRS"), "{refused}");
+}
+
+#[test]
+fn dates_of_two_kinds_are_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let out = at("o.tif");
+    let source = |name: &str| plate(&at(name), 0.0, (20, 10), None, |_, _| 10u8);
+    let inputs = [source("a_20200101.tif"), source("undated.tif")];
+    let found = made(&MosaicJob { choice: Choice::Newest, ..job(&inputs, &out) });
+    assert!(found.notes.len() == 1 && found.notes[0].contains("dates") && found.notes[0].contains("undated.tif"));
+    assert!(!found.notes[0].contains("a_2020"), "{:?}", found.notes);
+    assert!(made(&job(&inputs, &out)).notes.is_empty());
+    let inputs = [source("a_20200101.tif"), source("b_20210101.tif")];
+    assert!(made(&MosaicJob { choice: Choice::Newest, ..job(&inputs, &out) }).notes.is_empty());
 }
 
 #[test]

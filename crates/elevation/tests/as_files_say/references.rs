@@ -73,12 +73,58 @@ fn zones_of_no_system_lie_where_their_numbers_say() {
     let two = "MULTILINESTRING((0 0,10 0,10 10),(50 50,60 50,60 60))";
     for (name, wkt) in [("lines.gpkg", open), ("two_lines.gpkg", two)] {
         let lines = zones(&at(name), None, OGRwkbGeometryType::wkbUnknown, wkt);
-        let refused = read_zones(&lines, "").expect_err("no polygon").to_string();
+        let refused = read_zones(&lines, "", [0.0; 4]).expect_err("no polygon").to_string();
         assert!(refused.contains("lines.gpkg") && refused.contains("make polygons of its lines"), "{refused}");
     }
     let closed = SQUARE.replace("POLYGON((", "LINESTRING(").replace("))", ")");
     let closed = zones(&at("closed.gpkg"), None, OGRwkbGeometryType::wkbUnknown, &closed);
-    assert!(read_zones(&closed, "").is_ok(), "a closed line is a polygon");
+    assert!(read_zones(&closed, "", [0.0; 4]).is_ok(), "a closed line is a polygon");
+}
+
+/// Models across 180°, zones and lines on its far side: by longitudes of either kind, and from the map of a UTM zone.
+#[test]
+fn zones_and_lines_count_longitudes_as_they_like() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    // From 179.96° to 180.04°.
+    let a = model(&at("a.tif"), "EPSG:4326", (179.96, 60.04, 0.001), 3.0);
+    let b = model(&at("b.tif"), "EPSG:4326", (179.96, 60.04, 0.001), 0.0);
+    let polygon = OGRwkbGeometryType::wkbPolygon;
+    let degrees = SpatialRef::from_definition("EPSG:4326").expect("PROJ knows it");
+    let square = |west: f64| {
+        let east = west + 0.02;
+        format!("POLYGON(({west} 60.01,{east} 60.01,{east} 60.02,{west} 60.02,{west} 60.01))")
+    };
+    let mut from = degrees.clone();
+    from.set_axis_mapping_strategy(gdal::spatial_ref::AxisMappingStrategy::TraditionalGisOrder);
+    let map = SpatialRef::from_definition("EPSG:32660").expect("PROJ knows it");
+    let way = gdal::spatial_ref::CoordTransform::new(&from, &map).expect("a way");
+    // Over 180° on the map.
+    let (mut xs, mut ys) = ([179.99, 180.01, 180.01, 179.99], [60.01, 60.01, 60.02, 60.02]);
+    way.transform_coords(&mut xs, &mut ys, &mut []).expect("transformed");
+    let corners: Vec<String> = (0..5).map(|i| format!("{} {}", xs[i % 4], ys[i % 4])).collect();
+    let on_map = format!("POLYGON(({}))", corners.join(","));
+    for (name, system, wkt, n) in [
+        ("east.gpkg", &degrees, square(-179.99), 200..=200),
+        ("west.gpkg", &degrees, square(179.97), 200..=200),
+        ("map.gpkg", &map, on_map, 190..=210),
+    ] {
+        let zones = zones(&at(name), Some(system), polygon, &wkt);
+        let found = compare(&a, &b, Some(&zones), &at("out"));
+        assert!(n.contains(&found.volumes[0].n), "{name}: {}", found.volumes[0].n);
+        assert!(found.volumes[0].covered_share.is_some_and(|share| share > 0.95), "{name}: {:?}", found.volumes[0]);
+        assert!(found.warnings.is_empty(), "{name}: {:?}", found.warnings);
+    }
+    let beside = zones(&at("beside.gpkg"), Some(&degrees), polygon, &square(10.0));
+    let found = compare(&a, &b, Some(&beside), &at("out"));
+    assert!(found.warnings.iter().any(|note| note.starts_with("zone 1 has no cell")), "{:?}", found.warnings);
+    let along = |line: &[(f64, f64)]| autoref_elevation::profile::along(&[&a], line, None).expect("a profile");
+    let (as_model, jumping) = (along(&[(179.97, 60.0), (180.03, 60.0)]), along(&[(179.97, 60.0), (-179.97, 60.0)]));
+    assert_eq!(as_model.len(), jumping.len());
+    for (a, b) in as_model.iter().zip(&jumping) {
+        let heights = a.heights_m[0].zip(b.heights_m[0]);
+        assert!(heights.is_some_and(|(a, b)| (a - b).abs() < 1e-6), "{a:?}, {b:?}");
+    }
 }
 
 #[test]

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use autoref_cloud::{info, params};
 use autoref_raster::crs::Crs;
+use autoref_raster::words::with_decimals;
 use clap::{Args, Subcommand};
 
 /// Clean, grid and describe point clouds (LAS, LAZ, COPC, PLY, E57, text) of any size in bounded memory.
@@ -70,7 +71,7 @@ fn run_info(args: &InfoArgs) -> anyhow::Result<ExitCode> {
         println!("{}: {}, {} points", info.path.display(), info.format, info.points);
         if let (Some(min), Some(max)) = (info.min, info.max) {
             for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-                println!("  {name} {:.3} … {:.3}", min[axis], max[axis]);
+                println!("  {name} {} … {}", with_decimals(min[axis], 3), with_decimals(max[axis], 3));
             }
         }
         if let Some(density) = info.points_per_m2 {

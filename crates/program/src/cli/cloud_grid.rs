@@ -52,7 +52,7 @@ pub struct GridArgs {
     /// Begin the cells at the cloud's least x and y, fill with PDAL's weights, take every class.
     #[arg(long)]
     like_pdal: bool,
-    /// Take points of the classes 7 and 18 (noise), too.
+    /// Take points of the classes 7 and 18 (noise) and those flagged as withheld, too.
     #[arg(long)]
     keep_noise: bool,
     /// The camera for the dimension range: a place in map coordinates, a table cloud,E,N,H, or a MicMac orientation.

@@ -5,8 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::bail;
 use autoref_elevation::align::{Alignment, Bend, BendTerm, Degree, Method, Outcome};
-use autoref_elevation::couple::Couple;
-use autoref_elevation::files::AlignJob;
+use autoref_elevation::files::{AlignJob, AlignedFiles};
 use autoref_elevation::output;
 use autoref_raster::atomic::Existing;
 use clap::Args;
@@ -82,7 +81,7 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
     };
     found.write(alignment, &args.out)?;
     if args.json {
-        let document = AlignmentDocument::of(args, alignment, &found.couple);
+        let document = AlignmentDocument::of(args, alignment, &found);
         println!("{}", serde_json::to_string_pretty(&document)?);
         return Ok(ExitCode::SUCCESS);
     }
@@ -111,7 +110,7 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
         println!("Heights              {}", found.couple.heights);
     }
     println!("NMAD of A − B        {:.4} m before, {:.4} m after", alignment.nmad_before_m, alignment.nmad_after_m);
-    for warning in warnings(args, alignment, &found.couple) {
+    for warning in warnings(args, alignment, &found) {
         println!("Warning              {warning}");
     }
     println!("Stable ground        {:.1} % of {} common cells", 100.0 * alignment.stable_share, alignment.common_cells);
@@ -120,7 +119,7 @@ pub fn align(args: &AlignArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// What a person should look at.
-fn warnings(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Vec<String> {
+fn warnings(args: &AlignArgs, found: &Alignment, files: &AlignedFiles) -> Vec<String> {
     /// The differences may spread no more than before.
     const NOTABLY: f64 = 1.05;
     let spread = (found.nmad_after_m > NOTABLY * found.nmad_before_m + 1e-3).then(|| {
@@ -140,7 +139,13 @@ fn warnings(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Vec<String>
         )
     });
     let zeros = found.zeros.notes(found.common_cells, &args.a, &args.to);
-    spread.into_iter().chain(unsure).chain(couple.doubtful_units.clone()).chain(zeros).collect()
+    spread
+        .into_iter()
+        .chain(unsure)
+        .chain(files.couple.doubtful_units.clone())
+        .chain(zeros)
+        .chain(files.notes.clone())
+        .collect()
 }
 
 /// The degree of what is taken out beside the shift.
@@ -216,7 +221,8 @@ impl BendRecord {
 }
 
 impl AlignmentDocument {
-    fn of(args: &AlignArgs, found: &Alignment, couple: &Couple) -> Self {
+    fn of(args: &AlignArgs, found: &Alignment, files: &AlignedFiles) -> Self {
+        let couple = &files.couple;
         let grid = autoref_elevation::source::Heights::grid(&couple.a);
         let [shift_e_m, shift_n_m, shift_h_m] = found.shift_m;
         let [shift_e_se_m, shift_n_se_m, shift_h_se_m] = [0, 1, 2].map(|i| found.covariance_m2[(i, i)].max(0.0).sqrt());
@@ -248,7 +254,7 @@ impl AlignmentDocument {
             stable_share: found.stable_share,
             common_cells: found.common_cells,
             iterations: found.iterations,
-            warnings: warnings(args, found, couple),
+            warnings: warnings(args, found, files),
             resampled: couple.projected,
             heights: couple.heights.to_string(),
             output: args.out.display().to_string(),
