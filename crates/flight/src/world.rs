@@ -7,7 +7,7 @@
 //! Coordinates of the map are in its units, easting and northing in one and heights in another; the world is in metres.
 //! [`Geodesy`] is the one place where the one becomes the other.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector3};
 
 use crate::pose::{Pose, orthonormal};
 
@@ -63,6 +63,9 @@ pub enum World {
     Curved(Tangent),
 }
 
+/// Units of the map over which its axes and its scale are taken.
+const STEP: f64 = 10.0;
+
 /// East, north, up at a place, as rows.
 pub fn tangent_axes(lon_deg: f64, lat_deg: f64) -> Matrix3<f64> {
     let (sl, cl) = lon_deg.to_radians().sin_cos();
@@ -111,14 +114,31 @@ impl World {
         if let World::Flat { .. } = self {
             return Some(Matrix3::identity());
         }
+        let mut axes = self.steps(map)?;
+        axes.column_iter_mut().for_each(|mut axis| axis /= axis.norm());
+        Some(orthonormal(&axes))
+    }
+    /// What steps of [`STEP`] units along the map's axes are in the world, as columns.
+    fn steps(&self, map: [f64; 3]) -> Option<Matrix3<f64>> {
         let at = self.to_world(map)?;
-        let mut m = Matrix3::zeros();
+        let mut steps = Matrix3::zeros();
         for i in 0..3 {
             let mut moved = map;
-            moved[i] += 10.0;
-            m.set_column(i, &(self.to_world(moved)? - at).normalize());
+            moved[i] += STEP;
+            steps.set_column(i, &(self.to_world(moved)? - at));
         }
-        Some(orthonormal(&m))
+        Some(steps)
+    }
+    /// What becomes of metres along the axes of [`World::grid`] on the map, in its metres: the scale of the map at a
+    /// place, along east and north, which need not be one (EPSG:3857 has 2.2 at 63° north, equal areas several).
+    pub fn map_scale(&self, map: [f64; 3]) -> Option<Matrix2<f64>> {
+        if let World::Flat { .. } = self {
+            return Some(Matrix2::identity());
+        }
+        let along = self.grid(map)?.transpose() * self.steps(map)?;
+        let [plan_m, _] = self.units_m();
+        let metres = along.fixed_view::<2, 2>(0, 0) / (STEP * plan_m);
+        metres.try_inverse()
     }
     /// A pose of the world in the map: the centre in map coordinates, the rotation against the map's axes there.
     pub fn pose_to_map(&self, pose: &Pose) -> Option<Pose> {
@@ -181,6 +201,23 @@ mod tests {
         assert!((back.centre - listed.centre).norm() < 1e-5, "{}", back.centre);
         let by = feet.metres_of([10.0, 20.0, 30.0]);
         assert!((Vector3::from(by) - Vector3::new(3.048, 6.096, 54.864)).norm() < 1e-9, "{by:?}");
+    }
+
+    #[test]
+    fn a_map_stretches_the_ground_by_its_scale() {
+        let scale = |geodesy: Box<dyn Geodesy>, north: f64| {
+            let world = World::curved(geodesy, [0.0; 3]).expect("on the Earth");
+            world.map_scale([40.0, north, 300.0]).expect("on the Earth")
+        };
+        // A degree has 100,000 units: of longitude 55,801 m at 60° north, of latitude 111,414 m.
+        let plain = scale(Box::new(Plain), 0.0);
+        let (east, north) = (1e5 / 55_801.0, 1e5 / 111_414.0);
+        assert!((plain[(0, 0)] - east).abs() < 1e-3 && (plain[(1, 1)] - north).abs() < 1e-3, "{plain}");
+        assert!(plain[(0, 1)].abs().max(plain[(1, 0)].abs()) < 1e-4, "{plain}");
+        // In metres, whatever the map counts in.
+        assert!((plain - scale(Box::new(Feet), 0.0)).norm() < 1e-3);
+        let flat = World::flat([500.0; 3]).map_scale([500.0; 3]);
+        assert_eq!(flat, Some(Matrix2::identity()));
     }
 
     #[test]
