@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::flight::{Place, SIDE, autoref, brightness, expect, ground, json, text};
+use super::flight::{F_PX, Place, SIDE, autoref, brightness, expect, ground, json, text};
 use crate::common::data;
 use autoref_raster::crs::{Coordinate, Crs};
 
@@ -257,4 +257,34 @@ fn a_map_that_stretches_the_ground_loses_none_of_it() {
         assert!((stretched.0 / metric.0 - 1.0).abs() < 0.01, "{pitch}: {metric:?} {stretched:?}");
         assert!((stretched.1 / metric.1 - 1.0).abs() < 0.02, "{pitch}: {metric:?} {stretched:?}");
     }
+}
+
+/// The interior that the options state is in pixels of the frame, whatever the size of its camera.
+#[test]
+fn the_interior_of_the_options_is_that_of_the_frame() {
+    let place = Place::new();
+    place.flight.render(&place.at("frames"));
+    let (frame, dem) = (place.at("frames").join("f2.png"), place.at("dem.tif"));
+    write_dem(&dem, (400, 250), [800.0, 2250.0], 2.0, ground);
+    let pose = place.flight.model.photographs[2].pose;
+    let rows: Vec<[f64; 3]> = (0..3).map(|i| std::array::from_fn(|k| pose.rotation[(i, k)])).collect();
+    let cameras = |size: f64| {
+        let half = size / 2.0;
+        let camera = serde_json::json!({
+            "name": "f2.png", "C": pose.centre.as_slice(), "R": rows, "f_px": F_PX * size / SIDE as f64,
+            "pp_px": [half, half], "size_px": [size, size], "distortion": {},
+        });
+        let document = serde_json::json!({"crs": "local", "cameras": [camera]});
+        place.write(&format!("cameras_{size}.json"), &document.to_string())
+    };
+    let drawn = |size: f64, more: &[&str]| {
+        let (cameras, out) = (cameras(size), place.at("out.tif"));
+        let words = ["flight", "orthorectify", text(&frame), "--dem", text(&dem), "--cameras", text(&cameras)];
+        let also = ["--gsd", "2", "--overwrite", "-o", text(&out)];
+        expect(&autoref(&[&words[..], &also, more].concat(), None, &[]), 0, &[]);
+        ortho(&out)
+    };
+    let side = SIDE as f64;
+    let interior = ["--f-px", "500", "--pp-px", "240,240"];
+    assert!(drawn(side, &[]) == drawn(2.0 * side, &interior) && drawn(side, &[]) == drawn(2.0 * side, &[]));
 }

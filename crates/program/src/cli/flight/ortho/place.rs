@@ -57,10 +57,11 @@ pub(super) fn posed(
     } else {
         posed_by_reconstruction(args, &file, name, model_crs)?
     };
-    set_interior(&mut camera, &args.frame, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
+    // What the options state is in pixels of this frame.
     if camera.size_px != size {
         resize(&mut camera, &args.frame, size)?;
     }
+    set_interior(&mut camera, &args.frame, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
     Ok((camera, pose, frame))
 }
 
