@@ -140,6 +140,19 @@ impl World {
         let metres = along.fixed_view::<2, 2>(0, 0) / (STEP * plan_m);
         metres.try_inverse()
     }
+    /// Standard deviations along the map's axes of what has a covariance at a place of the world.
+    pub fn deviations_on_map(&self, at: &Vector3<f64>, covariance: &Matrix3<f64>) -> [f64; 3] {
+        let grid = self.to_map(at).and_then(|map| self.grid(map)).unwrap_or_else(Matrix3::identity);
+        let turned = grid.transpose() * covariance * grid;
+        [0, 1, 2].map(|axis| turned[(axis, axis)].sqrt())
+    }
+    /// Standard deviations along the map's axes at a place of it, along the world's. Only the plan is turned: up leans by
+    /// less than such numbers are known. The correlation that the turn brings is left out.
+    pub fn deviations_of_map(&self, map: [f64; 3], sigma: Vector3<f64>) -> Vector3<f64> {
+        let Some(grid) = self.grid(map).filter(|_| sigma.x != sigma.y) else { return sigma };
+        let plan = |axis: usize| (grid[(axis, 0)] * sigma.x).hypot(grid[(axis, 1)] * sigma.y);
+        Vector3::new(plan(0), plan(1), sigma.z)
+    }
     /// A pose of the world in the map: the centre in map coordinates, the rotation against the map's axes there.
     pub fn pose_to_map(&self, pose: &Pose) -> Option<Pose> {
         let centre = self.to_map(&pose.centre)?;
@@ -218,6 +231,36 @@ mod tests {
         assert!((plain - scale(Box::new(Feet), 0.0)).norm() < 1e-3);
         let flat = World::flat([500.0; 3]).map_scale([500.0; 3]);
         assert_eq!(flat, Some(Matrix2::identity()));
+    }
+
+    /// A map whose north is turned by 30° to the east, as far from its meridian.
+    struct Turned;
+    impl Geodesy for Turned {
+        fn to_geographic(&self, m: [f64; 3]) -> Option<[f64; 3]> {
+            let (s, c) = 30f64.to_radians().sin_cos();
+            Plain.to_geographic([2.0 * (c * m[0] + s * m[1]), c * m[1] - s * m[0], m[2]])
+        }
+        fn map_of_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
+            let (s, c) = 30f64.to_radians().sin_cos();
+            let [x, y, h] = Plain.map_of_geographic(g)?;
+            Some([c * x / 2.0 - s * y, s * x / 2.0 + c * y, h])
+        }
+    }
+
+    #[test]
+    fn deviations_are_along_the_axes_of_the_map() {
+        let world = World::curved(Box::new(Turned), [0.0; 3]).expect("on the Earth");
+        let close = |a: Vector3<f64>, b: Vector3<f64>| assert!((a - b).norm() < 0.02, "{a} {b}");
+        // 5 m to the map's east, which lies 30° south of east.
+        let grid = world.grid([0.0; 3]).expect("on the Earth");
+        let on_map = Vector3::new(5.0, 1.0, 2.0);
+        let covariance = grid * Matrix3::from_diagonal(&on_map.component_mul(&on_map)) * grid.transpose();
+        close(world.deviations_on_map(&Vector3::zeros(), &covariance).into(), on_map);
+        let (c, s) = (30f64.to_radians().cos(), 0.5);
+        let turned = Vector3::new((5.0 * c).hypot(s), (5.0 * s).hypot(c), 2.0);
+        close(world.deviations_of_map([0.0; 3], on_map), turned);
+        let alike = Vector3::new(3.0, 3.0, 2.0);
+        assert_eq!(world.deviations_of_map([0.0; 3], alike), alike);
     }
 
     #[test]
