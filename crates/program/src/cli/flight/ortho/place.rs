@@ -331,8 +331,8 @@ impl<'c> Seer<'c> {
 
     /// Where the frame's rays meet the ground: the box of the map, and the median size of a pixel across the view.
     fn footprint(&self, surface: &Surface) -> Option<([f64; 4], f64)> {
-        let view = self.view(surface);
         const RAYS: usize = 48;
+        let view = self.view(surface);
         let mut bounds = [f64::MAX, f64::MAX, f64::MIN, f64::MIN];
         let mut sizes = Vec::new();
         let size = view.camera.size_px;
