@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use super::flight::{Place, SIDE, autoref, brightness, expect, ground, json, text};
+use super::flight::{F_PX, Place, SIDE, autoref, brightness, expect, ground, json, text};
 use crate::common::data;
+use autoref_raster::crs::{Coordinate, Crs};
 
 /// A raster of floats on a plane.
 pub(super) fn write_dem(
@@ -214,4 +215,76 @@ fn orthophotos_of_neighbours_agree() {
         "dsm.tif",
         &["--cameras", text(&table), "--camera", text(&camera), "--gsd", "0.6"],
     );
+}
+
+/// The model that is at `path`, in a CRS.
+fn put_in(path: &Path, epsg: u32) {
+    let options = gdal::DatasetOptions { open_flags: gdal::GdalOpenFlags::GDAL_OF_UPDATE, ..Default::default() };
+    let mut file = gdal::Dataset::open_ex(path, options).expect("it opens");
+    file.set_spatial_ref(&gdal::spatial_ref::SpatialRef::from_epsg(epsg).expect("known")).expect("kept");
+    file.close().expect("written");
+}
+
+/// At 63° north the metres of EPSG:3857 are 2.2 to one on the ground: a frame shows no less of it there.
+#[test]
+fn a_map_that_stretches_the_ground_loses_none_of_it() {
+    let place = Place::new();
+    place.flight.render(&place.at("frames"));
+    let frame = place.at("frames").join("f2.png");
+    // On the zone's meridian, where north of both maps is one.
+    let mut at = [[500_000.0, 6_985_000.0], [500_000.0, 6_986_000.0]].map(|[x, y]| Coordinate { x, y, height: None });
+    let utm = at;
+    let crs = |epsg: u32| Crs::from_epsg(epsg).expect("known");
+    crs(25833).transform(&mut at, &crs(3857), 100.0).expect("both have it");
+    let scale = (at[1].y - at[0].y) / 1000.0;
+    assert!((scale - 2.19).abs() < 0.02, "{scale}");
+    for pitch in [-90.0, -40.0] {
+        let drawn = |epsg: u32, eye: &Coordinate, scale: f64| {
+            let (dem, out) = (place.at(&format!("{epsg}_dem.tif")), place.at(&format!("{epsg}_{pitch}.tif")));
+            let half = 4000.0 * scale;
+            write_dem(&dem, (400, 400), [eye.x - half, eye.y + half], 20.0 * scale, |_, _| 100.0);
+            put_in(&dem, epsg);
+            let row = format!("name,x,y,z,yaw,pitch,roll\nf2.png,{},{},1100,20,{pitch},0\n", eye.x, eye.y);
+            let table = place.write(&format!("{epsg}.csv"), &row);
+            let words = ["flight", "orthorectify", text(&frame), "--dem", text(&dem), "--cameras", text(&table)];
+            let output = autoref(&[&words[..], &["--f-px", "500", "-o", text(&out), "--json"]].concat(), None, &[]);
+            expect(&output, 0, &[]);
+            let number = |key: &str| json(&output)[key].as_f64().expect("a number");
+            let gsd = number("gsd") / scale;
+            (gsd, number("pixels_seen") * gsd * gsd)
+        };
+        let (metric, stretched) = (drawn(25833, &utm[0], 1.0), drawn(3857, &at[0], scale));
+        assert!((stretched.0 / metric.0 - 1.0).abs() < 0.01, "{pitch}: {metric:?} {stretched:?}");
+        assert!((stretched.1 / metric.1 - 1.0).abs() < 0.02, "{pitch}: {metric:?} {stretched:?}");
+    }
+}
+
+/// The interior that the options state is in pixels of the frame, whatever the size of its camera.
+#[test]
+fn the_interior_of_the_options_is_that_of_the_frame() {
+    let place = Place::new();
+    place.flight.render(&place.at("frames"));
+    let (frame, dem) = (place.at("frames").join("f2.png"), place.at("dem.tif"));
+    write_dem(&dem, (400, 250), [800.0, 2250.0], 2.0, ground);
+    let pose = place.flight.model.photographs[2].pose;
+    let rows: Vec<[f64; 3]> = (0..3).map(|i| std::array::from_fn(|k| pose.rotation[(i, k)])).collect();
+    let cameras = |size: f64| {
+        let half = size / 2.0;
+        let camera = serde_json::json!({
+            "name": "f2.png", "C": pose.centre.as_slice(), "R": rows, "f_px": F_PX * size / SIDE as f64,
+            "pp_px": [half, half], "size_px": [size, size], "distortion": {},
+        });
+        let document = serde_json::json!({"crs": "local", "cameras": [camera]});
+        place.write(&format!("cameras_{size}.json"), &document.to_string())
+    };
+    let drawn = |size: f64, more: &[&str]| {
+        let (cameras, out) = (cameras(size), place.at("out.tif"));
+        let words = ["flight", "orthorectify", text(&frame), "--dem", text(&dem), "--cameras", text(&cameras)];
+        let also = ["--gsd", "2", "--overwrite", "-o", text(&out)];
+        expect(&autoref(&[&words[..], &also, more].concat(), None, &[]), 0, &[]);
+        ortho(&out)
+    };
+    let side = SIDE as f64;
+    let interior = ["--f-px", "500", "--pp-px", "240,240"];
+    assert!(drawn(side, &[]) == drawn(2.0 * side, &interior) && drawn(side, &[]) == drawn(2.0 * side, &[]));
 }

@@ -8,6 +8,7 @@ mod choice;
 mod refine;
 mod resection;
 mod seen;
+mod slip;
 mod testing;
 mod three_points;
 
@@ -60,6 +61,7 @@ pub fn resect(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Result
         return Err(in_line());
     }
     let choice::Choice { best, is_open } = choice::choose(camera, seen, options);
+    let best = best.map(|found| Resection { pixels_times: slip::pixels_times(camera, seen, options, &found), ..found });
     best.ok_or_else(|| {
         if are_in_line(seen, options.sigma_px) {
             return in_line();

@@ -7,7 +7,7 @@
 //! Coordinates of the map are in its units, easting and northing in one and heights in another; the world is in metres.
 //! [`Geodesy`] is the one place where the one becomes the other.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector3};
 
 use crate::pose::{Pose, orthonormal};
 
@@ -63,6 +63,9 @@ pub enum World {
     Curved(Tangent),
 }
 
+/// Units of the map over which its axes and its scale are taken.
+const STEP: f64 = 10.0;
+
 /// East, north, up at a place, as rows.
 pub fn tangent_axes(lon_deg: f64, lat_deg: f64) -> Matrix3<f64> {
     let (sl, cl) = lon_deg.to_radians().sin_cos();
@@ -113,14 +116,44 @@ impl World {
         if let World::Flat { .. } = self {
             return Some(Matrix3::identity());
         }
+        let mut axes = self.steps(map)?;
+        axes.column_iter_mut().for_each(|mut axis| axis /= axis.norm());
+        Some(orthonormal(&axes))
+    }
+    /// What steps of [`STEP`] units along the map's axes are in the world, as columns.
+    fn steps(&self, map: [f64; 3]) -> Option<Matrix3<f64>> {
         let at = self.to_world(map)?;
-        let mut m = Matrix3::zeros();
+        let mut steps = Matrix3::zeros();
         for i in 0..3 {
             let mut moved = map;
-            moved[i] += 10.0;
-            m.set_column(i, &(self.to_world(moved)? - at).normalize());
+            moved[i] += STEP;
+            steps.set_column(i, &(self.to_world(moved)? - at));
         }
-        Some(orthonormal(&m))
+        Some(steps)
+    }
+    /// What becomes of metres along the axes of [`World::grid`] on the map, in its metres: the scale of the map at a
+    /// place, along east and north, which need not be one (EPSG:3857 has 2.2 at 63° north, equal areas several).
+    pub fn map_scale(&self, map: [f64; 3]) -> Option<Matrix2<f64>> {
+        if let World::Flat { .. } = self {
+            return Some(Matrix2::identity());
+        }
+        let along = self.grid(map)?.transpose() * self.steps(map)?;
+        let [plan_m, _] = self.units_m();
+        let metres = along.fixed_view::<2, 2>(0, 0) / (STEP * plan_m);
+        metres.try_inverse()
+    }
+    /// Standard deviations along the map's axes of what has a covariance at a place of the world.
+    pub fn deviations_on_map(&self, at: &Vector3<f64>, covariance: &Matrix3<f64>) -> [f64; 3] {
+        let grid = self.to_map(at).and_then(|map| self.grid(map)).unwrap_or_else(Matrix3::identity);
+        let turned = grid.transpose() * covariance * grid;
+        [0, 1, 2].map(|axis| turned[(axis, axis)].sqrt())
+    }
+    /// Standard deviations along the map's axes at a place of it, along the world's. Only the plan is turned: up leans by
+    /// less than such numbers are known. The correlation that the turn brings is left out.
+    pub fn deviations_of_map(&self, map: [f64; 3], sigma: Vector3<f64>) -> Vector3<f64> {
+        let Some(grid) = self.grid(map).filter(|_| sigma.x != sigma.y) else { return sigma };
+        let plan = |axis: usize| (grid[(axis, 0)] * sigma.x).hypot(grid[(axis, 1)] * sigma.y);
+        Vector3::new(plan(0), plan(1), sigma.z)
     }
     /// A pose of the world in the map: the centre in map coordinates, the rotation against the map's axes there.
     pub fn pose_to_map(&self, pose: &Pose) -> Option<Pose> {
@@ -184,6 +217,53 @@ mod tests {
         assert!((back.centre - listed.centre).norm() < 1e-5, "{}", back.centre);
         let by = feet.metres_of([10.0, 20.0, 30.0]);
         assert!((Vector3::from(by) - Vector3::new(3.048, 6.096, 54.864)).norm() < 1e-9, "{by:?}");
+    }
+
+    #[test]
+    fn a_map_stretches_the_ground_by_its_scale() {
+        let scale = |geodesy: Box<dyn Geodesy>, north: f64| {
+            let world = World::curved(geodesy, [0.0; 3]).expect("on the Earth");
+            world.map_scale([40.0, north, 300.0]).expect("on the Earth")
+        };
+        // A degree has 100,000 units: of longitude 55,801 m at 60° north, of latitude 111,414 m.
+        let plain = scale(Box::new(Plain), 0.0);
+        let (east, north) = (1e5 / 55_801.0, 1e5 / 111_414.0);
+        assert!((plain[(0, 0)] - east).abs() < 1e-3 && (plain[(1, 1)] - north).abs() < 1e-3, "{plain}");
+        assert!(plain[(0, 1)].abs().max(plain[(1, 0)].abs()) < 1e-4, "{plain}");
+        // In metres, whatever the map counts in.
+        assert!((plain - scale(Box::new(Feet), 0.0)).norm() < 1e-3);
+        let flat = World::flat([500.0; 3]).map_scale([500.0; 3]);
+        assert_eq!(flat, Some(Matrix2::identity()));
+    }
+
+    /// A map whose north is turned by 30° to the east, as far from its meridian.
+    struct Turned;
+    impl Geodesy for Turned {
+        fn to_geographic(&self, m: [f64; 3]) -> Option<[f64; 3]> {
+            let (s, c) = 30f64.to_radians().sin_cos();
+            Plain.to_geographic([2.0 * (c * m[0] + s * m[1]), c * m[1] - s * m[0], m[2]])
+        }
+        fn map_of_geographic(&self, g: [f64; 3]) -> Option<[f64; 3]> {
+            let (s, c) = 30f64.to_radians().sin_cos();
+            let [x, y, h] = Plain.map_of_geographic(g)?;
+            Some([c * x / 2.0 - s * y, s * x / 2.0 + c * y, h])
+        }
+    }
+
+    #[test]
+    fn deviations_are_along_the_axes_of_the_map() {
+        let world = World::curved(Box::new(Turned), [0.0; 3]).expect("on the Earth");
+        let close = |a: Vector3<f64>, b: Vector3<f64>| assert!((a - b).norm() < 0.02, "{a} {b}");
+        // 5 m to the map's east, which lies 30° south of east.
+        let grid = world.grid([0.0; 3]).expect("on the Earth");
+        let on_map = Vector3::new(5.0, 1.0, 2.0);
+        let covariance = grid * Matrix3::from_diagonal(&on_map.component_mul(&on_map)) * grid.transpose();
+        close(world.deviations_on_map(&Vector3::zeros(), &covariance).into(), on_map);
+        let (c, s) = (30f64.to_radians().cos(), 0.5);
+        let turned = Vector3::new((5.0 * c).hypot(s), (5.0 * s).hypot(c), 2.0);
+        close(world.deviations_of_map([0.0; 3], on_map), turned);
+        let alike = Vector3::new(3.0, 3.0, 2.0);
+        assert_eq!(world.deviations_of_map([0.0; 3], alike), alike);
     }
 
     #[test]

@@ -280,3 +280,51 @@ fn points_on_a_line_but_for_their_errors_are_said_to_be() {
         assert!((found.pose.centre - centre).norm() < 1.0, "{:?}", found.pose.centre);
     }
 }
+
+/// Ten points that fix the pose, and a position 100 m off: it is left out, and one that is right counts. Three points
+/// have none to spare, and the position rules.
+#[test]
+fn a_wrong_position_does_not_drag_a_pose_that_the_points_fix() {
+    let camera = Camera::pinhole("drawn", [4000.0, 3000.0], 3500.0, [2000.0, 1500.0]);
+    let mut random = Random::new(58);
+    for turn in 0..6 {
+        let seen = net(&camera, &mut random, 0.7);
+        let (sin, cos) = (f64::from(turn) * 60f64.to_radians()).sin_cos();
+        let placed = |east: f64, north: f64, points: usize| {
+            let position = Some((Vector3::new(east, north, 0.0), Vector3::repeat(1.0)));
+            let options = ResectOptions { sigma_px: 0.7, position, ..ResectOptions::default() };
+            resect(&camera, &seen[..points], &options).expect("a pose")
+        };
+        let alone = resect(&camera, &seen, &ResectOptions { sigma_px: 0.7, ..ResectOptions::default() });
+        let alone = alone.expect("ten points fix a pose");
+        let found = placed(100.0 * cos, 100.0 * sin, 10);
+        let off_m = found.position_off_m.expect("it is left out");
+        assert!((off_m - 100.0).abs() < 20.0 && found.blunders.is_empty(), "{turn}: {off_m} {:?}", found.blunders);
+        assert!((found.pose.centre - alone.pose.centre).norm() < 1e-3, "{turn}: {}", found.pose.centre);
+        let right = placed(0.5 * cos, 0.5 * sin, 10);
+        assert!(right.position_off_m.is_none() && right.pose.centre.norm() < 3.0, "{turn}: {}", right.pose.centre);
+        let few = placed(100.0 * cos, 100.0 * sin, 3);
+        assert!(few.position_off_m.is_none(), "{turn}: three points");
+    }
+}
+
+/// Pixels of a copy of half or twice the size are told from points that are wrong.
+#[test]
+fn pixels_of_a_copy_of_another_size_are_named() {
+    let camera = Camera::pinhole("drawn", [4000.0, 3000.0], 3500.0, [2000.0, 1500.0]);
+    let mut random = Random::new(64);
+    let options = ResectOptions { sigma_px: 0.7, ..ResectOptions::default() };
+    for _ in 0..3 {
+        let seen = net(&camera, &mut random, 0.7);
+        let of_copy = |factor: f64| -> Vec<Seen> {
+            seen.iter().map(|s| Seen { pixel: s.pixel.map(|v| v * factor), ..s.clone() }).collect()
+        };
+        let told = |seen: &[Seen]| resect(&camera, seen, &options).ok().and_then(|found| found.pixels_times);
+        assert_eq!(told(&seen), None);
+        assert_eq!(told(&of_copy(0.5)), Some(2.0));
+        // Height for northing is another slip.
+        let mut exchanged = seen.clone();
+        exchanged.iter_mut().for_each(|s| s.xyz.swap_rows(1, 2));
+        assert_eq!(told(&exchanged), None);
+    }
+}

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::{Flight, Place, autoref, expect, has_the_keys, json, said, text};
+use nalgebra::Vector3;
 use serde_json::Value;
 
 #[test]
@@ -243,4 +244,26 @@ fn positions_alone_place_a_block() {
     let two: String = place.flight.table().lines().take(3).fold(String::new(), |all, line| all + line + "\n");
     let two = place.write("two.csv", &two);
     expect(&adjust(&["--cameras", text(&two)]), 2, &["two.csv", "2 positions", "3 are needed"]);
+}
+
+/// In EPSG:3413 at 45° east the map's x leads south, and its y east: what errs by 30 m in x is said to.
+#[test]
+fn a_wrong_survey_is_said_along_the_axes_of_the_map() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let mut flight = Flight::new();
+    // At 70° north, where the map has the scale of the ground.
+    flight.gcps.iter_mut().for_each(|gcp| gcp.1 += Vector3::new(2_186_900.0, -2_000.0, 0.0));
+    let k = (0..flight.gcps.len()).max_by_key(|k| flight.gcps[*k].2.len()).expect("eight");
+    flight.gcps[k].1.x += 30.0;
+    let list = place.write("polar.txt", &flight.gcp_list().replacen("local", "EPSG:3413", 1));
+    let model = place.at("model");
+    let words = ["flight", "adjust", text(&model), "--gcps", text(&list), "--sigma-ground", "0.05", "--free", "none"];
+    let output = autoref(&[&words[..], &["--json"]].concat(), None, &[]);
+    expect(&output, 0, &[]);
+    let document = json(&output);
+    let blunder = &document["blunders"][0];
+    assert_eq!(blunder["gcp"].as_str(), Some(flight.gcps[k].0.as_str()), "{}", document["blunders"]);
+    let by = |axis: usize| blunder["by_m"][axis].as_f64().expect("metres");
+    assert!((by(0) - 30.0).abs() < 2.0 && by(1).abs() < 2.0 && by(2).abs() < 2.0, "{blunder}");
 }

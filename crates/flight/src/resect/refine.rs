@@ -1,6 +1,6 @@
 //! A pose from its start to the least squares' minimum, without the points that are wrong.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::resection::Resection;
 use super::seen::{Focal, ResectOptions, Seen};
@@ -64,6 +64,11 @@ pub(super) fn judging(seen: &[Seen], options: &ResectOptions) -> ResectOptions {
     ResectOptions { position: options.position.filter(|_| counts), ..options.clone() }
 }
 
+/// χ² of three numbers that one position in a thousand exceeds.
+const CHI2_POSITION: f64 = 16.27;
+/// Of the points, before they contradict a position: fewer fit many cameras.
+const LEAST_TO_SPARE: usize = 4;
+
 /// So many points can spare one.
 const SPARE_ONE: usize = 5;
 
@@ -113,22 +118,18 @@ pub(super) fn refine(camera: &Camera, pose: &Pose, seen: &[Seen], options: &Rese
     if seen.len() >= SPARE_ONE {
         refining.set_aside();
     }
-    let mut of_points = None;
-    loop {
-        let fit = refining.fit()?;
-        if refining.mend(&fit) {
-            continue;
-        }
-        let now = (fit.chi2_of(refining.options), fit.redundancy);
-        if !refining.position_counts {
-            refining.position_counts = true;
-            // What the points say before a position pulls.
-            of_points = Some(now);
-            continue;
-        }
-        let ((points, position), redundancy) = of_points.unwrap_or(now);
-        return Ok(Minimum { found: refining.resection(&fit)?, points, position, redundancy });
+    let mut fit = refining.fit()?;
+    while refining.mend(&fit) {
+        fit = refining.fit()?;
     }
+    // What the points say before a position pulls.
+    let ((points, position), redundancy) = (fit.chi2_of(options), fit.redundancy);
+    let mut position_off_m = None;
+    if !refining.position_counts {
+        (fit, position_off_m) = refining.with_position(fit)?;
+    }
+    let found = Resection { position_off_m, ..refining.resection(&fit)? };
+    Ok(Minimum { found, points, position, redundancy })
 }
 
 /// Focal lengths, where they are sought, beyond which none comes back.
@@ -161,6 +162,23 @@ impl Fit {
         };
         let counted = self.at.frames[0].position.as_ref().map_or(0.0, off);
         (2.0 * self.cost - counted, options.position.as_ref().map_or(0.0, off))
+    }
+
+    /// How far a position lies from the camera of these points, where it does so by more than both can err; `None` where
+    /// it agrees, and where the points have too little to spare to say so.
+    fn contradicts(&self, (at, sigma): &(Vector3<f64>, Vector3<f64>)) -> Option<f64> {
+        if self.redundancy < LEAST_TO_SPARE {
+            return None;
+        }
+        let camera = self.factored.as_ref()?.frame(0).fixed_view::<3, 3>(3, 3) * self.variance();
+        let off = self.at.frames[0].pose.centre - at;
+        let inverse = (camera + Matrix3::from_diagonal(&sigma.component_mul(sigma))).try_inverse()?;
+        (off.dot(&(inverse * off)) > CHI2_POSITION).then(|| off.norm())
+    }
+
+    /// How many times as large the variance is as was stated.
+    fn variance(&self) -> f64 {
+        excess(self.sigma0, self.redundancy).powi(2)
     }
 }
 
@@ -228,6 +246,25 @@ impl Refining<'_> {
         !worst.is_empty()
     }
 
+    /// The fit of points and position; of the points alone, with the distance to the position, where both contradict
+    /// each other. Along a circle that the points hardly fix, straight deviations do not tell: the position has to
+    /// spoil their fit as well.
+    fn with_position(&mut self, alone: Fit) -> Result<(Fit, Option<f64>)> {
+        self.position_counts = true;
+        let off_m = self.options.position.as_ref().and_then(|position| alone.contradicts(position));
+        let (camera, pose) = (self.camera.clone(), self.pose);
+        let together = self.fit();
+        let Some(off_m) = off_m else { return Ok((together?, None)) };
+        let most = CHI2_POSITION * alone.variance();
+        match together {
+            Ok(fit) if 2.0 * (fit.cost - alone.cost) <= most => Ok((fit, None)),
+            _ => {
+                (self.camera, self.pose) = (camera, pose);
+                Ok((alone, Some(off_m)))
+            }
+        }
+    }
+
     fn resection(mut self, fit: &Fit) -> Result<Resection> {
         let (camera, pose) = (&self.camera, &self.pose);
         let residual = |s: &Seen| {
@@ -250,7 +287,9 @@ impl Refining<'_> {
             residuals_px,
             blunders: self.blunders,
             sigma0: fit.sigma0,
+            position_off_m: None,
             alternatives: Vec::new(),
+            pixels_times: None,
         })
     }
 }

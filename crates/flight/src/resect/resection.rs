@@ -23,6 +23,11 @@ pub struct Resection {
     /// How many times as large the deviations are as those that follow from what was stated: √(v'Pv / redundancy) where
     /// it is too large for chance, else 1. It is in `covariance`.
     pub widened: f64,
+    /// How far from here a known position lies, metres, where points that can do without it contradict it: it was left
+    /// out.
+    pub position_off_m: Option<f64>,
+    /// Where all pixels times this would fit, and as they are they do not: 2 of those of a frame of half the size.
+    pub pixels_times: Option<f64>,
     /// Other poses that the points do not rule out: three allow up to four, more of them fewer.
     pub alternatives: Vec<Alternative>,
 }

@@ -38,6 +38,7 @@ use anyhow::{Result, bail};
 use autoref_flight::adjust::{GroundPoint, Role};
 use autoref_flight::read::{self, Reconstruction};
 use autoref_flight::resect::{Focal, ResectOptions, Seen, resect};
+use autoref_flight::world::World;
 use autoref_flight::{Camera, Error, Parameter};
 use nalgebra::Vector3;
 use serde_json::json;
@@ -193,7 +194,7 @@ fn run_resect(args: &ResectArgs) -> Result<ExitCode> {
     let mut points = control.in_world(&world, &stub, &args.points)?;
     let mut notes = plausible::within_frames(&mut points, &stub, &args.points.gcps.display().to_string())?;
     notes.extend(note);
-    let (seen, checks) = seen_points(args, &name, &control, &points)?;
+    let (seen, checks) = seen_points(args, &name, (&control, &world), &points)?;
     let options = ResectOptions {
         sigma_px: args.points.how.sigma_image,
         position: match &args.position {
@@ -246,13 +247,14 @@ fn check_resect_numbers(args: &ResectArgs) -> Result<()> {
 fn seen_points(
     args: &ResectArgs,
     name: &str,
-    control: &lists::Control,
+    (control, world): (&lists::Control, &World),
     points: &[GroundPoint],
 ) -> Result<(Vec<Seen>, Vec<Seen>)> {
     let (mut seen, mut checks) = (Vec::new(), Vec::new());
     for (p, listed) in points.iter().zip(&control.points) {
         // Where nobody states how good the points are, they are exact.
-        let sigma_m = args.points.how.sigma_ground.map_or_else(|| listed.sigma_or(0.0), |s| [s; 3]).into();
+        let sigma_m = args.points.how.sigma_ground.map_or_else(|| listed.sigma_or(0.0), |s| [s; 3]);
+        let sigma_m = world.deviations_of_map(listed.xyz, sigma_m.into());
         let of_role = if p.role == Role::Check { &mut checks } else { &mut seen };
         of_role.extend(p.seen.iter().map(|(_, pixel)| Seen {
             name: p.name.clone(),

@@ -11,7 +11,7 @@ use autoref_flight::{Camera, Pose};
 use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::ranks::upper_median;
 use autoref_raster::words::some_of;
-use nalgebra::Vector3;
+use nalgebra::{Matrix2, Vector2, Vector3};
 use serde_json::{Value, json};
 
 use super::camera_tables;
@@ -76,9 +76,9 @@ pub fn let_go_of_turned(rough: &mut [Option<RoughPose>], model: &Reconstruction,
     ))
 }
 
-/// A frame's ground on the plane of height `ground_m`, the map's metres, as a ring that is not closed. Empty when the
-/// frame sees none.
-fn outline(camera: &Camera, map_pose: &Pose, ground_m: f64) -> Vec<[f64; 2]> {
+/// A frame's ground on the plane of height `ground_m`, the map's metres, as a ring that is not closed. `map_scale` is
+/// that of [`World::map_scale`] at the camera. Empty when the frame sees none.
+fn outline(camera: &Camera, map_pose: &Pose, map_scale: &Matrix2<f64>, ground_m: f64) -> Vec<[f64; 2]> {
     let [w, h] = camera.size_px;
     let along = |k: usize| k as f64 / SIDE as f64;
     let sides: [&dyn Fn(f64) -> [f64; 2]; 4] =
@@ -97,8 +97,8 @@ fn outline(camera: &Camera, map_pose: &Pose, ground_m: f64) -> Vec<[f64; 2]> {
         let away = if ray.z < 0.0 { level * above / -ray.z } else { f64::INFINITY };
         sees |= away < farthest;
         let reach = away.min(farthest) / level.max(f64::MIN_POSITIVE);
-        let [x, y] = if level > 0.0 { [ray.x * reach, ray.y * reach] } else { [0.0, 0.0] };
-        ring.push([map_pose.centre.x + x, map_pose.centre.y + y]);
+        let ground = if level > 0.0 { Vector2::new(ray.x, ray.y) * reach } else { Vector2::zeros() };
+        ring.push((map_pose.centre.xy() + map_scale * ground).into());
     }
     if sees { ring } else { Vec::new() }
 }
@@ -115,8 +115,9 @@ pub fn footprints(found: &Adjustment, model: &Reconstruction, world: &World, crs
     for photograph in &found.photographs {
         let of = &model.photographs[photograph.photograph];
         let Some(mut pose) = world.pose_to_map(&photograph.pose) else { continue };
+        let Some(map_scale) = world.map_scale(pose.centre.into()) else { continue };
         pose.centre = world.metres_of(pose.centre.into()).into();
-        let mut ring = outline(&found.cameras[of.camera], &pose, ground_m);
+        let mut ring = outline(&found.cameras[of.camera], &pose, &map_scale, ground_m);
         if let Some((crs, earth)) = &earth {
             let mut places: Vec<Coordinate> =
                 ring.iter().map(|p| Coordinate { x: p[0] / plan_m, y: p[1] / plan_m, height: None }).collect();
@@ -158,7 +159,7 @@ mod tests {
     #[test]
     fn a_frame_that_looks_down_sees_its_size_over_the_focal_length() {
         let camera = Camera::pinhole("c", [1000.0, 500.0], 1000.0, [500.0, 250.0]);
-        let ring = outline(&camera, &looking(-90.0), 100.0);
+        let ring = outline(&camera, &looking(-90.0), &Matrix2::identity(), 100.0);
         let span = |a: usize| {
             let values = ring.iter().map(|p| p[a]);
             (values.clone().fold(f64::MAX, f64::min), values.fold(f64::MIN, f64::max))
@@ -167,15 +168,19 @@ mod tests {
         let (x, y) = (span(0), span(1));
         assert!((x.0 - 875.0).abs() < 1e-6 && (x.1 - 1125.0).abs() < 1e-6, "{x:?}");
         assert!((y.0 - 1750.0).abs() < 1e-6 && (y.1 - 2250.0).abs() < 1e-6, "{y:?}");
+        // On a map that shows metres twice as long towards east and three times towards north.
+        let stretched = outline(&camera, &looking(-90.0), &Matrix2::new(2.0, 0.0, 0.0, 3.0), 100.0);
+        let reach = |a: usize, from: f64| stretched.iter().map(|p| (p[a] - from).abs()).fold(0.0, f64::max);
+        assert!((reach(0, 1000.0) - 250.0).abs() < 1e-6 && (reach(1, 2000.0) - 750.0).abs() < 1e-6, "{stretched:?}");
     }
 
     #[test]
     fn ground_ends_before_the_horizon() {
         let camera = Camera::pinhole("c", [1000.0; 2], 1000.0, [500.0; 2]);
-        let oblique = outline(&camera, &looking(-20.0), 100.0);
+        let oblique = outline(&camera, &looking(-20.0), &Matrix2::identity(), 100.0);
         let far = oblique.iter().map(|p| (p[0] - 1000.0).hypot(p[1] - 2000.0)).fold(0.0, f64::max);
         assert!((far - FARTHEST_HEIGHTS * 500.0).abs() < 1e-6, "{far}");
-        assert!(outline(&camera, &looking(60.0), 100.0).is_empty(), "the sky alone");
-        assert!(outline(&camera, &looking(-20.0), 700.0).is_empty(), "below the ground");
+        assert!(outline(&camera, &looking(60.0), &Matrix2::identity(), 100.0).is_empty(), "the sky alone");
+        assert!(outline(&camera, &looking(-20.0), &Matrix2::identity(), 700.0).is_empty(), "below the ground");
     }
 }

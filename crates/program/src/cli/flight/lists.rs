@@ -214,7 +214,8 @@ impl Control {
             }
             let check = p.check || args.how.check.iter().any(|c| is_called(&p.name, c));
             let role = if check { Role::Check } else { Role::Control };
-            points.push(GroundPoint { name: p.name.clone(), xyz, sigma: Vector3::from(sigma), role, seen });
+            let sigma = world.deviations_of_map(p.xyz, sigma.into());
+            points.push(GroundPoint { name: p.name.clone(), xyz, sigma, role, seen });
         }
         Ok(points)
     }

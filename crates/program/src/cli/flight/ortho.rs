@@ -11,13 +11,11 @@ use std::process::ExitCode;
 use anyhow::{Result, bail};
 use autoref_elevation::grid::Grid;
 use autoref_elevation::output;
-use autoref_flight::world::World;
 use autoref_raster::atomic::Existing;
 use autoref_raster::crs::Crs;
 use autoref_raster::error::Error as RasterError;
 use autoref_raster::refuse_signed_bytes;
 use gdal::raster::{GdalDataType, RasterBand};
-use nalgebra::Matrix3;
 use serde_json::json;
 
 use super::camera_tables;
@@ -85,11 +83,9 @@ pub fn run(args: &OrthorectifyArgs) -> Result<ExitCode> {
     let dem = Dem::open(&args.dem)?;
     let (camera, pose, in_frame) = posed(args, &name, [columns as f64, rows as f64], dem.crs.as_ref())?;
     let (world, pose, eye) = place(&dem, &pose, &in_frame)?;
-    let sag = if matches!(world, World::Flat { .. }) { 0.0 } else { 0.5 / 6_371_000.0 };
-    let axes = world.grid(eye).unwrap_or_else(Matrix3::identity);
     let resources = args.resources.resources();
     let budget_bytes = resources.memory_budget_bytes;
-    let seer = Seer { camera: &camera, pose, eye, sag, axes };
+    let seer = Seer::new(&world, &camera, pose, eye);
     let Seen { bounds, across, surface } = seer.ground(args, &dem, budget_bytes)?;
     let view = seer.view(&surface);
     // Within, all is in metres; the orthophoto is in units of the map.

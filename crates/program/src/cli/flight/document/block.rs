@@ -6,6 +6,7 @@ use autoref_flight::read::Reconstruction;
 use autoref_flight::statistics::Residuals;
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Parameter};
+use nalgebra::Vector3;
 use serde::Serialize;
 
 use super::camera::{CameraRecord, InteriorOrientation, by_name};
@@ -83,6 +84,7 @@ pub struct PointRecord {
     /// Adjusted − surveyed, x, y, z of the map, and its length.
     pub residual_m: Option<[f64; 3]>,
     pub d_m: Option<f64>,
+    /// 1σ of x, y, z of the map.
     pub sigma_m: Option<[f64; 3]>,
     pub images: Vec<ImageResidual>,
 }
@@ -111,7 +113,7 @@ pub enum BlunderBy {
     /// In a frame; `None` where the camera looks away from the point.
     #[serde(rename = "by_px")]
     Pixels(Option<Vec<f64>>),
-    /// On the ground.
+    /// On the ground: x, y, z of the map.
     #[serde(rename = "by_m")]
     Metres(Vec<f64>),
 }
@@ -172,7 +174,7 @@ impl CamerasDocument {
             check_points,
             gcp_statistics,
             check_point_statistics,
-            blunders: found.blunders.iter().map(|b| BlunderRecord::of(b, &name)).collect(),
+            blunders: found.blunders.iter().map(|b| BlunderRecord::of(b, found, world, &name)).collect(),
             reprojection_rms_px: found.tie_rms_px,
             reprojection_mean_px: found.tie_mean_px,
             sigma_tie_px: found.sigma_tie_px,
@@ -219,7 +221,7 @@ impl PointRecord {
             h,
             residual_m,
             d_m: residual_m.as_ref().map(length),
-            sigma_m: point.covariance.map(|c| [0, 1, 2].map(|i| c[(i, i)].sqrt())),
+            sigma_m: point.covariance.map(|c| world.deviations_on_map(&point.xyz, &c)),
             images: images.collect(),
         }
     }
@@ -233,14 +235,21 @@ impl AdjustedInterior {
 }
 
 impl BlunderRecord {
-    fn of(blunder: &Blunder, name: &impl Fn(usize) -> String) -> Self {
+    fn of(blunder: &Blunder, found: &Adjustment, world: &World, name: &impl Fn(usize) -> String) -> Self {
         let by = blunder.by.clone();
+        let on_map = |by: Vec<f64>| {
+            let point = found.points.iter().find(|p| p.name == blunder.gcp);
+            match (point, by.as_slice()) {
+                (Some(point), &[x, y, z]) => in_map(world, &point.xyz, &Vector3::new(x, y, z)).to_vec(),
+                _ => by,
+            }
+        };
         BlunderRecord {
             gcp: blunder.gcp.clone(),
             frame: blunder.photograph.map(name),
             by: match blunder.photograph {
                 Some(_) => BlunderBy::Pixels(Some(by).filter(|by| !by.is_empty())),
-                None => BlunderBy::Metres(by),
+                None => BlunderBy::Metres(on_map(by)),
             },
             test: blunder.test,
         }

@@ -88,8 +88,10 @@ impl PixelResidual {
 
 /// What a person should know of a resection.
 fn notes(found: &Resection) -> Vec<String> {
-    /// Points fit so many times worse than is stated only when something is wrong.
+    /// Points fit so many times worse than is stated only when something is wrong, and so many where some of them are
+    /// called wrong already.
     const MISFIT: f64 = 10.0;
+    const MISFIT_OF_THE_REST: f64 = 4.0;
     let mut notes = Vec::new();
     if !found.alternatives.is_empty() {
         notes.push(format!(
@@ -103,7 +105,20 @@ fn notes(found: &Resection) -> Vec<String> {
             "two poses fall together here, and no standard deviations can be stated: measure another point".into(),
         );
     }
-    if let Some(sigma0) = found.sigma0.filter(|s| *s > MISFIT) {
+    if let Some(off_m) = found.position_off_m {
+        notes.push(format!(
+            "--position is {off_m:.1} m from where the points see the camera: left out; look at it, and at the focal length"
+        ));
+    }
+    let most = if found.blunders.is_empty() { MISFIT } else { MISFIT_OF_THE_REST };
+    if let Some(sigma0) = found.sigma0.filter(|s| *s > most || found.pixels_times.is_some()) {
+        if let Some(factor) = found.pixels_times {
+            let (size, remedy) = if factor > 1.0 { ("half", "double") } else { ("twice", "halve") };
+            notes.push(format!(
+                "the points would fit if they were measured in a frame of {size} the size: {remedy} the pixels, or give \
+                 the camera of the frame that was measured"
+            ));
+        }
         notes.push(format!(
             "the points fit {sigma0:.0} times worse than is stated of them: do not trust the pose; look at the points, the \
              focal length and --position"

@@ -313,17 +313,18 @@ struct Plane {
 }
 
 impl Plane {
-    /// Mean over those samples that have a value.
+    /// Mean over those samples that have a value, where half of all have one: a pixel of which less is seen shows other
+    /// ground than its own.
     fn mean(&self, samples: &[[f32; 2]]) -> Option<f32> {
-        let (mut sum, mut weight) = (0.0f32, 0.0f32);
+        let (mut sum, mut count) = (0.0f32, 0usize);
         for p in samples.iter().filter(|p| !p[0].is_nan()) {
             let at = [p[0] - self.corner[0], p[1] - self.corner[1]];
             if let Some(v) = cubic(&self.values, self.size, at) {
                 sum += v;
-                weight += 1.0;
+                count += 1;
             }
         }
-        (weight > 0.0).then(|| sum / weight)
+        (count > 0 && 2 * count >= samples.len()).then(|| sum / count as f32)
     }
 }
 
@@ -350,4 +351,20 @@ fn cubic(plane: &[f32], size: (usize, usize), at: [f32; 2]) -> Option<f32> {
     }
     // No ringing beside edges.
     Some(sum.clamp(low, high))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pixel_is_seen_where_half_of_its_samples_are() {
+        let plane = Plane { corner: [0.0; 2], size: (4, 4), values: vec![7.0; 16] };
+        let samples = |seen: usize| -> Vec<[f32; 2]> {
+            (0..9).map(|k| if k < seen { [2.0, 2.0] } else { [f32::NAN; 2] }).collect()
+        };
+        assert_eq!([0, 1, 4, 5, 9].map(|seen| plane.mean(&samples(seen))), [None, None, None, Some(7.0), Some(7.0)]);
+        assert_eq!(plane.mean(&samples(9)[..1]), Some(7.0));
+        assert_eq!(plane.mean(&[[2.0, 2.0], [2.0, 2.0], [f32::NAN; 2], [f32::NAN; 2]]), Some(7.0));
+    }
 }

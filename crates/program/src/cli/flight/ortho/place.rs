@@ -16,7 +16,7 @@ use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::Error as RasterError;
 use autoref_raster::ranks::upper_median;
 use autoref_raster::window::Window;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector3};
 
 use super::super::{camera_file, camera_tables, lists, set_interior, worlds};
 use super::OrthorectifyArgs;
@@ -57,10 +57,11 @@ pub(super) fn posed(
     } else {
         posed_by_reconstruction(args, &file, name, model_crs)?
     };
-    set_interior(&mut camera, &args.frame, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
+    // What the options state is in pixels of this frame.
     if camera.size_px != size {
         resize(&mut camera, &args.frame, size)?;
     }
+    set_interior(&mut camera, &args.frame, args.f_px, args.pp_px.as_deref(), &args.distortion)?;
     Ok((camera, pose, frame))
 }
 
@@ -261,26 +262,40 @@ impl Lattice {
 
 /// A frame's camera over the model, in metres of the map.
 pub(super) struct Seer<'a> {
-    pub camera: &'a Camera,
-    pub pose: Pose,
-    pub eye: [f64; 3],
-    /// Half of the Earth's curvature, or zero where it is flat.
-    pub sag: f64,
-    /// From the map's axes at the camera to the world's.
-    pub axes: Matrix3<f64>,
+    world: &'a World,
+    camera: &'a Camera,
+    pose: Pose,
+    eye: [f64; 3],
+    /// Half of the Earth's curvature over lengths of the map, or zero where it is flat.
+    sag: f64,
+    /// From the world's axes to the map's at the camera, and from lengths on the ground to those of the map.
+    to_map: Matrix3<f64>,
+    /// Lengths of the map over those on the ground.
+    scale: f64,
 }
 
 /// The ground that a frame sees.
 pub(super) struct Seen {
     /// Box of the map, metres.
     pub bounds: [f64; 4],
-    /// Median ground size of a pixel across the view.
+    /// Median size of a pixel across the view, metres of the map.
     pub across: f64,
     /// The model below the frame and between it and the camera.
     pub surface: Surface,
 }
 
-impl Seer<'_> {
+impl<'c> Seer<'c> {
+    /// A camera at a place of the map, in metres as the world has it.
+    pub fn new(world: &'c World, camera: &'c Camera, pose: Pose, eye: [f64; 3]) -> Self {
+        let plan = world.map_scale(eye).unwrap_or_else(Matrix2::identity);
+        let mut stretch = Matrix3::identity();
+        stretch.fixed_view_mut::<2, 2>(0, 0).copy_from(&plan);
+        let axes = world.grid(eye).unwrap_or_else(Matrix3::identity);
+        let area = plan.determinant().abs();
+        let sag = if matches!(world, World::Flat { .. }) { 0.0 } else { 0.5 / 6_371_000.0 / area };
+        Seer { world, camera, pose, eye, sag, to_map: stretch * axes.transpose(), scale: area.sqrt() }
+    }
+
     pub fn view<'a>(&'a self, surface: &'a Surface) -> View<'a> {
         let reach = self.camera.reach();
         View { camera: self.camera, pose: self.pose, eye: self.eye, surface, sag: self.sag, reach }
@@ -290,7 +305,7 @@ impl Seer<'_> {
     pub fn ground(&self, args: &OrthorectifyArgs, dem: &Dem, budget_bytes: u64) -> Result<Seen> {
         let all = Window::new(0, 0, dem.grid.width, dem.grid.height);
         let coarse = dem.surface(&args.dem, all, 4_000_000)?;
-        let (bounds, across) = footprint(&self.view(&coarse), &self.axes).ok_or_else(|| {
+        let (bounds, across) = self.footprint(&coarse).ok_or_else(|| {
             Error::no_result(
                 format!("{}: none of its rays meets {}", args.frame.display(), args.dem.display()),
                 "check the CRS, the camera's position and direction, and the area of the model",
@@ -313,27 +328,33 @@ impl Seer<'_> {
         }
         Ok(Seen { bounds, across, surface: dem.surface(&args.dem, part, u64::MAX)? })
     }
-}
 
-/// Where the frame's rays meet the ground: the box of the map, and the median ground size of a pixel across the view.
-fn footprint(view: &View<'_>, grid_axes: &Matrix3<f64>) -> Option<([f64; 4], f64)> {
-    const RAYS: usize = 48;
-    let mut bounds = [f64::MAX, f64::MAX, f64::MIN, f64::MIN];
-    let mut sizes = Vec::new();
-    let size = view.camera.size_px;
-    for j in 0..=RAYS {
-        for i in 0..=RAYS {
-            let pixel = [size[0] * i as f64 / RAYS as f64, size[1] * j as f64 / RAYS as f64];
-            let Some(ray) = view.camera.ray(pixel) else { continue };
-            let d = grid_axes.transpose() * (view.pose.rotation.transpose() * Vector3::from(ray));
-            let Some(at) = view.surface.meets(view.eye, d.into(), view.sag) else { continue };
-            bounds = [bounds[0].min(at[0]), bounds[1].min(at[1]), bounds[2].max(at[0]), bounds[3].max(at[1])];
-            let distance = (Vector3::from(at) - Vector3::from(view.eye)).norm();
-            sizes.push(distance * ray[2] / view.camera.f_px());
+    /// Where the frame's rays meet the ground: the box of the map, and the median size of a pixel across the view.
+    fn footprint(&self, surface: &Surface) -> Option<([f64; 4], f64)> {
+        const RAYS: usize = 48;
+        let view = self.view(surface);
+        let mut bounds = [f64::MAX, f64::MAX, f64::MIN, f64::MIN];
+        let mut sizes = Vec::new();
+        let size = view.camera.size_px;
+        let to_ground = self.to_map.try_inverse()?;
+        for j in 0..=RAYS {
+            for i in 0..=RAYS {
+                let pixel = [size[0] * i as f64 / RAYS as f64, size[1] * j as f64 / RAYS as f64];
+                let Some(ray) = view.camera.ray(pixel) else { continue };
+                let d = view.pose.rotation.transpose() * Vector3::from(ray);
+                let Some(at) = view.surface.meets(view.eye, (self.to_map * d).into(), view.sag) else { continue };
+                let distance = (to_ground * (Vector3::from(at) - Vector3::from(view.eye))).norm();
+                // Far away the map's scale and its north are others than at the camera.
+                let there = self.world.to_map(&(view.pose.centre + d * distance)).unwrap_or(at);
+                for at in [at, there] {
+                    bounds = [bounds[0].min(at[0]), bounds[1].min(at[1]), bounds[2].max(at[0]), bounds[3].max(at[1])];
+                }
+                sizes.push(self.scale * distance * ray[2] / view.camera.f_px());
+            }
         }
+        let middle = upper_median(&mut sizes)?;
+        // Between the rays the outline may reach further.
+        let more = [(bounds[2] - bounds[0]) / RAYS as f64, (bounds[3] - bounds[1]) / RAYS as f64];
+        Some(([bounds[0] - more[0], bounds[1] - more[1], bounds[2] + more[0], bounds[3] + more[1]], middle))
     }
-    let middle = upper_median(&mut sizes)?;
-    // Between the rays the outline may reach further.
-    let more = [(bounds[2] - bounds[0]) / RAYS as f64, (bounds[3] - bounds[1]) / RAYS as f64];
-    Some(([bounds[0] - more[0], bounds[1] - more[1], bounds[2] + more[0], bounds[3] + more[1]], middle))
 }
