@@ -369,8 +369,8 @@ fn polished(detector: &TargetDetector, patch: &Patch, rough: &Fit, side_px: f64)
     plausible(detector, &fit).then_some(fit)
 }
 
-/// The fit to the middle alone where that to more of the target lies elsewhere: of cloth that is wrinkled, of lines that
-/// are bent and where something lies on a target the middle tells most. The largest view with which all smaller ones
+/// The fit to the middle alone where that to more of the target lies elsewhere: of cloth that is wrinkled, of lines
+/// that are bent and where something lies on a target the middle tells most. The largest view with which all smaller ones
 /// agree (after O. V. Lepski, "On a problem of adaptive estimation in Gaussian white noise", 1991); how far the next
 /// larger is off is what is not known.
 fn at_its_middle(detector: &TargetDetector, patch: &Patch, fit: Fit, fall: Option<&Fall>, view_px: f64) -> Fit {

@@ -25,8 +25,8 @@ const ROUNDS: usize = 3;
 /// What the noise of neighbours has in common multiplies the variance that independent noise of a hundredth of the
 /// height would give.
 const CORRELATED: f64 = 4.0;
-/// What the model itself is off, in deviations of the blur: light adds up before cameras bend it to grey levels, so that
-/// edges move towards the dark, and no longer alike on all sides.
+/// What the model itself is off, in deviations of the blur: light adds up before cameras bend it to grey levels, so
+/// that edges move towards the dark, and no longer alike on all sides.
 const OWN_SHARE: f64 = 0.03;
 
 type Vector = SVector<f64, PARAMETERS>;

@@ -148,8 +148,8 @@ impl World {
         let turned = grid.transpose() * covariance * grid;
         [0, 1, 2].map(|axis| turned[(axis, axis)].sqrt())
     }
-    /// Standard deviations along the map's axes at a place of it, along the world's. Only the plan is turned: up leans by
-    /// less than such numbers are known. The correlation that the turn brings is left out.
+    /// Standard deviations along the map's axes at a place of it, along the world's. Only the plan is turned: up leans
+    /// by less than such numbers are known. The correlation that the turn brings is left out.
     pub fn deviations_of_map(&self, map: [f64; 3], sigma: Vector3<f64>) -> Vector3<f64> {
         let Some(grid) = self.grid(map).filter(|_| sigma.x != sigma.y) else { return sigma };
         let plan = |axis: usize| (grid[(axis, 0)] * sigma.x).hypot(grid[(axis, 1)] * sigma.y);

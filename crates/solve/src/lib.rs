@@ -1,7 +1,7 @@
 //! From matches to a transform, with residuals: [`similarity`] in the plane and its [`adjustment`] (what a run uses),
 //! [`planar`] affine and projective on request, [`absolute`] and [`kraus`] in space, [`heights`] apart; whether the
-//! residuals show a stretched or bent image: [`departure`]; whether they are normal, favour a direction or grow outwards:
-//! [`residual_analysis`].
+//! residuals show a stretched or bent image: [`departure`]; whether they are normal, favour a direction or grow
+//! outwards: [`residual_analysis`].
 //!
 //! ```
 //! use autoref_raster::coords::{GeoTransform, PixelPoint};

@@ -201,8 +201,8 @@ fn reliability(
     Some((0..pairs.len()).map(of).collect())
 }
 
-/// The cofactors of the three parameters of one coordinate, the same for both: the inverse of N = Σ w·r·rᵀ over the rows
-/// r of the pairs, which hold 1 and the pixel's place, in any order. `None` for points near a line.
+/// The cofactors of the three parameters of one coordinate, the same for both: the inverse of N = Σ w·r·rᵀ over the
+/// rows r of the pairs, which hold 1 and the pixel's place, in any order. `None` for points near a line.
 pub(crate) fn affine_cofactors(rows: impl Iterator<Item = Vector3<f64>>, weights: &[f64]) -> Option<Matrix3<f64>> {
     let normal: Matrix3<f64> = rows.zip(weights).map(|(row, weight)| *weight * row * row.transpose()).sum();
     normal.try_inverse()

@@ -14,7 +14,8 @@ pub struct Blunder {
     pub gcp: String,
     /// Photograph, or `None` when the point on the ground is wrong.
     pub photograph: Option<usize>,
-    /// Estimated error: pixels (x, y) or metres (x, y, z of the world); nothing of an image point that its camera looks away from.
+    /// Estimated error: pixels (x, y) or metres (x, y, z of the world); nothing of an image point that its
+    /// camera looks away from.
     pub by: Vec<f64>,
     /// Its size in units of its own standard deviation.
     pub test: f64,

@@ -164,8 +164,8 @@ impl Fit {
         (2.0 * self.cost - counted, options.position.as_ref().map_or(0.0, off))
     }
 
-    /// How far a position lies from the camera of these points, where it does so by more than both can err; `None` where
-    /// it agrees, and where the points have too little to spare to say so.
+    /// How far a position lies from the camera of these points, where it does so by more than both can err; `None`
+    /// where it agrees, and where the points have too little to spare to say so.
     fn contradicts(&self, (at, sigma): &(Vector3<f64>, Vector3<f64>)) -> Option<f64> {
         if self.redundancy < LEAST_TO_SPARE {
             return None;
