@@ -2,11 +2,12 @@
 
 use super::extent::{Lights, NO_FLANKS, Rays, SMALLEST_SADDLE, Seen, extent, quarters, sample_at};
 use super::fifth_arm;
-use super::fit::{Fit, Start, fit};
-use super::grey::{Plane, mean_of_cell};
-use super::kernels::Sample;
+use super::fit::{Fit, Start};
+use super::grey::Plane;
+use super::polish::{FLOOR_PX, POLISH_CELLS, most_skew, plausible, polish_px, polished, score, skew};
 use super::response::{RINGS, Steps, direction};
-use super::shade::{self, Fall, Shade};
+use super::shade::{self, Shade};
+use super::view::View;
 use super::{Motif, Quarters, Scale, TargetDetector, two_lights};
 use crate::candidate::Candidate;
 use crate::detector::Detector;
@@ -18,17 +19,11 @@ use std::cell::OnceCell;
 
 /// A fit takes about this many cells in radius; larger targets are halved first.
 const FIT_CELLS: f64 = 14.0;
-/// The last fit of a target that is believed may take this many.
-const POLISH_CELLS: f64 = 24.0;
 
 /// Share of the variance that fits to plates of print without a fifth arm leave over at most; cloth leaves more.
 const CLEAN: f64 = 0.0025;
 /// Before its fit has settled, a quarter need not reach farther than this share of the smallest.
 const SHARE: f64 = 0.8;
-
-/// What the fit cannot see of its own error: rounding to bytes and JPEG move both edges of a bar alike (measured on
-/// planted targets in `tests/core/targets.rs`).
-const FLOOR_PX: f64 = 0.0075;
 
 /// The strongest answer of one scale inside the region, image pixels.
 struct Answer {
@@ -348,104 +343,6 @@ fn in_two_lights(
     plausible(detector, &fit).then_some(Seen { fit, lights: Lights::Two, ..seen })
 }
 
-/// The fit to as much of the target as is surely its own: arms to two widths (letters may stand beside them farther
-/// out), quarters to 0.7 of the way.
-fn polished(detector: &TargetDetector, patch: &Patch, rough: &Fit, side_px: f64) -> Option<Fit> {
-    let again = rough.as_start();
-    let mut view = View::of(patch, again, polish_px(detector, rough, side_px), POLISH_CELLS)?;
-    let mut floor = FLOOR_PX * FLOOR_PX;
-    if detector.one_open() {
-        fifth_arm::without_strip(&mut view.samples, &view.start, rough.ground + 0.5 * rough.height);
-        floor += (fifth_arm::TAPER * again.width).powi(2);
-    }
-    let mut fit = view.fit(detector, |_| true)?;
-    // Where it lies to the last tenth of a pixel is asked of what will be a candidate.
-    if !detector.one_open() && score(fit.misfit, Lights::One) >= detector.min_score {
-        let (even, fall) = in_falling_light(detector, &view, fit);
-        fit = at_its_middle(detector, patch, even, fall.as_ref(), polish_px(detector, rough, side_px));
-    }
-    fit.covariance[0] += floor;
-    fit.covariance[2] += floor;
-    plausible(detector, &fit).then_some(fit)
-}
-
-/// The fit to the middle alone where that to more of the target lies elsewhere: of cloth that is wrinkled, of lines
-/// that are bent and where something lies on a target the middle tells most. The largest view with which all smaller ones
-/// agree (after O. V. Lepski, "On a problem of adaptive estimation in Gaussian white noise", 1991); how far the next
-/// larger is off is what is not known.
-fn at_its_middle(detector: &TargetDetector, patch: &Patch, fit: Fit, fall: Option<&Fall>, view_px: f64) -> Fit {
-    /// Chi-square of two degrees of freedom; deviations of fits to few cells are themselves uncertain.
-    const APART: f64 = 16.0;
-    let least = (3.0 * fit.blur).max(LEAST_MIDDLE_PX);
-    let inner = |halvings: i32| {
-        let radius = view_px * 0.5f64.powi(halvings);
-        let mut view = (radius >= least).then(|| View::of(patch, fit.as_start(), radius, POLISH_CELLS)).flatten()?;
-        if let Some(fall) = fall {
-            let origin = (-view.origin.0 / view.scale, -view.origin.1 / view.scale);
-            view.samples = fall.in_unit(1.0 / view.scale, origin).evened(&view.samples);
-        }
-        view.fit(detector, |_| true)
-    };
-    let smaller: Vec<Fit> = [2, 1].into_iter().filter_map(inner).collect();
-    let views: Vec<Fit> = smaller.into_iter().chain([fit]).collect();
-    let agree = |a: &Fit, b: &Fit| {
-        let (dx, dy) = (a.x - b.x, a.y - b.y);
-        let [xx, xy, yy] = std::array::from_fn(|i| a.covariance[i] + b.covariance[i]);
-        (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy) < APART
-    };
-    let disagrees = |k: &usize| views[..*k].iter().any(|smaller| !agree(smaller, &views[*k]));
-    let Some(first) = (1..views.len()).find(disagrees) else { return fit };
-    let (taken, next) = (&views[first - 1], &views[first]);
-    let apart = (taken.x - next.x).powi(2) + (taken.y - next.y).powi(2);
-    let [xx, xy, yy] = taken.covariance;
-    Fit { x: taken.x, y: taken.y, covariance: [xx + apart, xy, yy + apart], ..fit }
-}
-
-/// The middle of a target that is looked at by itself reaches this far.
-const LEAST_MIDDLE_PX: f64 = 4.5;
-
-/// How far from the middle the last fit sees.
-fn polish_px(detector: &TargetDetector, rough: &Fit, side_px: f64) -> f64 {
-    let view = match detector.motif {
-        Motif::Cross => (2.0 * rough.as_start().width).min(0.45 * side_px),
-        Motif::Saddle => (0.35 * side_px).min(48.0),
-    };
-    view.max(3.0)
-}
-
-/// The fit where the light falls off across the target, with the fall in pixels; the same where it does not.
-fn in_falling_light(detector: &TargetDetector, view: &View, fit: Fit) -> (Fit, Option<Fall>) {
-    let mut best = (fit, None);
-    for _ in 0..2 {
-        let cells = view.in_cells(&best.0);
-        let shares = cells.shares(detector.motif, &view.samples);
-        let Some(fall) = shade::fall(&view.samples, &shares, (cells.x, cells.y)) else { break };
-        let even = View { samples: fall.evened(&view.samples), ..*view };
-        let Some(found) = even.fit(detector, |_| true) else { break };
-        // What falling light explains is no evidence of a target: roofs and leaves are explained by it, too.
-        best = (Fit { misfit: fit.misfit, ..found }, Some(fall.in_unit(view.scale, view.origin)));
-    }
-    best
-}
-
-/// Two lines that cross at an angle that such targets have, with enough contrast.
-fn plausible(detector: &TargetDetector, fit: &Fit) -> bool {
-    let (low, high) = detector.side_px;
-    let width = (fit.widths[0] * fit.widths[1]).sqrt();
-    let bars = detector.motif == Motif::Saddle || (low / 12.0..=high / 3.0).contains(&width);
-    skew(fit) < most_skew(detector) && fit.height.abs() >= f64::from(detector.least) && bars
-}
-
-/// How far the angle between the lines is from a right one, radians.
-fn skew(fit: &Fit) -> f64 {
-    let between = (fit.angles[1] - fit.angles[0]).rem_euclid(std::f64::consts::PI);
-    (between - std::f64::consts::FRAC_PI_2).abs()
-}
-
-fn most_skew(detector: &TargetDetector) -> f64 {
-    3.0 * detector.skew.min(0.35)
-}
-
 /// Whether the four quarters go on outwards from a ring that is smaller than the smallest target, before anything is
 /// fitted: most of what answers on the smallest ring ends there.
 fn quarters_begin(detector: &TargetDetector, patch: &Patch, start: &Start, radius: f64) -> bool {
@@ -499,108 +396,6 @@ fn ends_near(detector: &TargetDetector, patch: &Patch, fit: &Fit) -> bool {
     let rays = Rays { longest: 1.2 * shortest + rays.gap + rays.step, ..rays };
     quarters(&rays).into_iter().fold(f64::INFINITY, f64::min) * std::f64::consts::SQRT_2
         < SMALLEST_SADDLE * detector.side_px.0
-}
-
-/// The cells in a disc about the place where a fit starts.
-struct View {
-    samples: Vec<Sample>,
-    /// Pixels along the side of a cell.
-    scale: f64,
-    /// The patch's corner, pixels.
-    origin: (f64, f64),
-    start: Start,
-}
-
-impl View {
-    /// A disc of `radius` pixels about the start; a target cut by the image's edge or by nodata is no target.
-    fn of(patch: &Patch, start: Start, radius: f64, most_cells: f64) -> Option<View> {
-        let mut size = 1u64;
-        while radius / size as f64 > most_cells {
-            size *= 2;
-        }
-        let scale = size as f64;
-        let samples = samples(patch, (start.x, start.y), radius, size);
-        if (samples.len() as f64) < 0.75 * std::f64::consts::PI * (radius / scale).powi(2) {
-            return None;
-        }
-        let origin = (patch.window.x as f64, patch.window.y as f64);
-        let start = Start {
-            x: (start.x - origin.0) / scale,
-            y: (start.y - origin.1) / scale,
-            width: start.width / scale,
-            blur: (start.blur / scale).max(0.4),
-            ..start
-        };
-        Some(View { samples, scale, origin, start })
-    }
-
-    fn in_pixels(&self, fit: &Fit) -> Fit {
-        let scale = self.scale;
-        Fit {
-            x: self.origin.0 + fit.x * scale,
-            y: self.origin.1 + fit.y * scale,
-            widths: fit.widths.map(|w| w * scale),
-            blur: fit.blur * scale,
-            covariance: fit.covariance.map(|v| v * scale * scale),
-            ..*fit
-        }
-    }
-
-    fn in_cells(&self, fit: &Fit) -> Fit {
-        let scale = self.scale;
-        Fit {
-            x: (fit.x - self.origin.0) / scale,
-            y: (fit.y - self.origin.1) / scale,
-            widths: fit.widths.map(|w| w / scale),
-            blur: fit.blur / scale,
-            covariance: fit.covariance.map(|v| v / (scale * scale)),
-            ..*fit
-        }
-    }
-
-    /// Fits in image pixels; gives up what is not `hopeful` on the way.
-    fn fit(&self, detector: &TargetDetector, hopeful: impl Fn(&Fit) -> bool) -> Option<Fit> {
-        let hopeful = |sketch: &Fit| hopeful(&self.in_pixels(sketch));
-        let found = fit(detector.motif, &self.samples, self.start, detector.skew, hopeful)?;
-        Some(self.in_pixels(&found))
-    }
-}
-
-/// Means of whole cells of `size` pixels within `view` of a place, in cells from the patch's corner.
-fn samples(patch: &Patch, at: (f64, f64), view: f64, size: u64) -> Vec<Sample> {
-    let (width, height) = (patch.window.width / size, patch.window.height / size);
-    let (cx, cy) = ((at.0 - patch.window.x as f64) / size as f64, (at.1 - patch.window.y as f64) / size as f64);
-    let reach = view / size as f64;
-    let range = |c: f64, len: u64| (c - reach).max(0.0) as u64..((c + reach).ceil().max(0.0) as u64).min(len);
-    let mut out = Vec::new();
-    for (v, u) in range(cy, height).flat_map(|v| range(cx, width).map(move |u| (v, u))) {
-        let (x, y) = (u as f64 + 0.5, v as f64 + 0.5);
-        if (x - cx).hypot(y - cy) > reach {
-            continue;
-        }
-        out.extend(mean_of_cell(patch, (u, v), size).map(|level| Sample { x, y, level }));
-    }
-    out
-}
-
-/// Log-likelihood ratio of "target" against "something else that answered", natural logarithm.
-///
-/// The measurement is the logarithm of the share of variance that the model leaves over, taken as Gaussian for both.
-/// Clutter: 2,866 places that answered on 54 megapixels of photographs (`tools/target_scores.rs`). Targets: 911 planted
-/// ones have −6.8 ± 0.6, the cloth of six real plates −4.3 to −4.9; the population covers both. A fit better than the
-/// mean does not count further.
-fn score(misfit: f64, lights: Lights) -> f64 {
-    const TARGET: (f64, f64) = (-6.0, 1.2);
-    const CLUTTER: (f64, f64) = (-1.4, 0.75);
-    // What is free in two lights fits more of what is no target, and few targets lie so.
-    const TWO_LIGHTS: f64 = 6.0;
-    let at = misfit.max(1e-6).ln().max(TARGET.0);
-    let log_density = |(mean, sd): (f64, f64)| -0.5 * ((at - mean) / sd).powi(2) - sd.ln();
-    let price = match lights {
-        Lights::One => 0.0,
-        Lights::Two => TWO_LIGHTS,
-    };
-    log_density(TARGET) - log_density(CLUTTER) - price
 }
 
 #[cfg(test)]

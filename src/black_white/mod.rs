@@ -11,9 +11,11 @@ mod fifth_arm;
 pub(crate) mod fit;
 pub(crate) mod grey;
 pub(crate) mod kernels;
+mod polish;
 mod response;
 mod shade;
 mod two_lights;
+mod view;
 
 use crate::candidate::Candidate;
 use crate::detector::Detector;

@@ -151,8 +151,8 @@ impl Surface {
         false
     }
 
-    /// Where a ray from `eye` first meets the surface. `direction` is in the map's axes, of unit length on the ground: on
-    /// a map that stretches it, its part in the plan is longer. `sag` is of lengths of the map.
+    /// Where a ray from `eye` first meets the surface. `direction` is in the map's axes, of unit length on the ground:
+    /// on a map that stretches it, its part in the plan is longer. `sag` is of lengths of the map.
     pub fn meets(&self, eye: [f64; 3], direction: [f64; 3], sag: f64) -> Option<[f64; 3]> {
         let across = direction[0].hypot(direction[1]);
         let at = |s: f64| {

@@ -1,8 +1,8 @@
 //! The error function and the standard normal distribution.
 //!
 //! M. Abramowitz, I. Stegun, "Handbook of Mathematical Functions", 1964, 7.1.26: the error function is good to 1.5e-7
-//! and the distribution to 7.5e-8, absolutely. The share beyond so many standard deviations is good to a relative 5e-5 at
-//! three of them and to 1e-2 at eight. (26.2.17 is the same polynomial, its coefficients rounded once more.)
+//! and the distribution to 7.5e-8, absolutely. The share beyond so many standard deviations is good to a relative 5e-5
+//! at three of them and to 1e-2 at eight. (26.2.17 is the same polynomial, its coefficients rounded once more.)
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
