@@ -56,7 +56,7 @@ pub(super) fn point(
     number: &str,
     told: &mut Told,
 ) -> Result<(RawPoint, Option<String>)> {
-    let row: Vec<String> = own.iter().cloned().chain([x.to_string(), y.to_string()]).collect();
+    let mut row: Vec<String> = own.iter().cloned().chain([x.to_string(), y.to_string()]).collect();
     // Columns that repeat the coordinates must not win over the geometry.
     let unlike = |(i, title): (usize, &String)| match titles::is_coordinate(title) {
         true => format!("attribute {i}"),
@@ -64,6 +64,14 @@ pub(super) fn point(
     };
     let seen = titles.iter().enumerate().map(unlike).chain(PLACEHOLDERS.map(str::to_string)).collect();
     let columns = columns(seen).expect("the placeholders are among the titles");
+    // Layers have attributes of any kind; words under a height or an accuracy say nothing of either.
+    let of_numbers = columns.sigma.into_iter().chain([columns.height, columns.sigma_height]).flatten();
+    for column in of_numbers.filter(|&column| column < own.len()) {
+        if !row[column].is_empty() && columns.number(&row[column]).is_none() {
+            told.notes.insert(format!("`{}` under `{}` is no number: not read", row[column], titles[column]));
+            row[column].clear();
+        }
+    }
     let mut point = columns.point(path, place, &row, number)?;
     point.attributes = titles.iter().cloned().zip(own.iter().cloned()).collect();
     // No spreadsheet wrote an apostrophe here.

@@ -442,7 +442,8 @@ impl<'a> TitledRow<'a> {
                 "`{text}` is rounded to {unit}, as spreadsheets show large numbers; give the {what} its decimals (format \
                  the cells as numbers and save again)"
             ))),
-            None if value > 0.0 && self.columns.is_backwards(column) => Ok(-value),
+            // A letter in the cell says it for itself.
+            None if value > 0.0 && letter(text).is_none() && self.columns.is_backwards(column) => Ok(-value),
             None => Ok(value),
         }
     }

@@ -164,16 +164,18 @@ fn with_thousands<'a>(path: &Path, table: Vec<Row<'a>>) -> Result<Vec<Row<'a>>> 
 fn has_thousands(cells: &[String]) -> bool {
     let is_whole = |cell: &str, longest: usize| cell.len() <= longest && cell.bytes().all(|b| b.is_ascii_digit());
     let is_group = |cell: &str| cell.len() == 3 && is_whole(cell, 3);
-    let (mut found, mut at) = (0, 1);
+    let (mut found, mut most, mut at) = (0, 0, 1);
     while at + 1 < cells.len() {
         let first = &cells[at];
         let groups = cells[at + 1..].iter().take_while(|cell| is_group(cell)).count();
         let last = cells.get(at + 1 + groups).and_then(|cell| cell.split_once(['.', ',']));
         let is_number = !first.is_empty() && is_whole(first, 3) && last.is_some_and(|(whole, _)| is_group(whole));
         found += usize::from(is_number);
+        most = if is_number { most.max(groups) } else { most };
         at += if is_number { groups + 2 } else { 1 };
     }
-    found > 1
+    // A northing of millions has a group between its first and its last; "100 200.5" may be two numbers.
+    found > 1 && most > 0
 }
 
 /// Takes away the columns in which no row has anything; returns which are left.
@@ -308,9 +310,13 @@ impl Shape {
         const MOST: u32 = 9_999;
         let has_decimals = |field: Option<&String>| field.is_some_and(|f| f.contains(['.', ',']));
         let numbers: Vec<u32> = table.iter().filter_map(|(_, fields)| fields.first()?.parse().ok()).collect();
+        // Axes of a building have whole numbers, too; they rise in large steps, and lie near zero.
+        let is_rising = numbers.windows(2).all(|pair| pair[0] < pair[1]);
+        let value = |field: Option<&String>| field.and_then(|f| text::number(f)).map_or(0.0, f64::abs);
+        let is_far = |(_, fields): &Row<'_>| (1..3).all(|at| value(fields.get(at)) >= 1e4);
         table.len() > 1
             && numbers.len() == table.len()
-            && numbers.windows(2).all(|pair| pair[0] < pair[1])
+            && (numbers.windows(2).all(|pair| pair[1] == pair[0] + 1) || (is_rising && table.iter().all(is_far)))
             && numbers.iter().all(|number| *number <= MOST)
             && table.iter().all(|(_, fields)| (1..3).all(|at| has_decimals(fields.get(at))))
     }

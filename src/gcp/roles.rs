@@ -111,7 +111,7 @@ const YES: &[&str] = &[
 ];
 const NO: &[&str] = &[
     "0", "false", "no", "n", "off", "nein", "falsch", "non", "faux", "falso", "nao", "nee", "onwaar", "nej", "nei",
-    "falskt", "falsk", "usann", "usant", "nie", "falsz", "ei", "epatosi", "нет", "ложь", "✗", "✘", "☐", "❌", "-",
+    "falskt", "falsk", "usann", "usant", "nie", "falsz", "ei", "epatosi", "нет", "ложь", "✗", "✘", "☐", "❌",
 ];
 /// Of points that take no part.
 const OFF: &[&str] = &["unused", "notused", "ignore", "ignored", "disabled", "disable", "inactive", "skip", "excluded"];
@@ -142,9 +142,15 @@ fn is_among(text: &str, words: &[&[&str]]) -> bool {
     words.iter().any(|words| words.contains(&word.as_str()) || words.contains(&sign))
 }
 
+/// Whether a dash says that nothing was entered.
+fn is_nothing(text: &str) -> bool {
+    ["-", "–", "—"].contains(&text.trim())
+}
+
 /// Under `role`, `type` or `use`.
 pub(super) fn of_role(text: &str) -> Said {
     match () {
+        () if is_nothing(text) => CONTROL,
         () if is_check(text) || is_among(text, &[OFF, &NO[1..]]) => CHECK,
         () if is_among(text, &[CONTROLS, YES, ON, &NO[..1]]) => CONTROL,
         () => Said::Unknown,
@@ -154,6 +160,7 @@ pub(super) fn of_role(text: &str) -> Said {
 /// Under `check`.
 pub(super) fn of_check(text: &str) -> Said {
     match () {
+        () if is_nothing(text) => CONTROL,
         () if is_check(text) || is_among(text, &[YES]) => CHECK,
         () if is_among(text, &[NO, CONTROLS]) => CONTROL,
         () => Said::Unknown,
@@ -163,6 +170,7 @@ pub(super) fn of_check(text: &str) -> Said {
 /// Under `enabled`: a marker that is switched off in Metashape is a check point.
 pub(super) fn of_enabled(text: &str) -> Said {
     match () {
+        () if is_nothing(text) => CONTROL,
         () if is_among(text, &[NO, OFF]) => CHECK,
         () if is_among(text, &[YES, ON]) => CONTROL,
         () => Said::Unknown,

@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::gcp::GcpRole;
+use crate::gcp::angle::Letter;
 use crate::gcp::columns::Columns;
 use crate::gcp::confidence::{self, Measured};
 use crate::gcp::hemispheres::counts_backwards;
@@ -29,14 +30,16 @@ impl Columns {
 
     /// How many standard deviations the accuracies under a title are, and what they are divided by.
     pub(super) fn sigmas(&self, column: usize) -> f64 {
-        let is_radius = self.sigma == [Some(column), None];
+        // One column for all three coordinates is of each of them.
+        let is_radius = self.sigma == [Some(column), None] && self.sigma_height != Some(column);
         let measured = if is_radius { Measured::Radius } else { Measured::Axis };
         self.titles.get(column).and_then(|title| confidence::sigmas(title, measured)).unwrap_or(1.0)
     }
 
     /// Accuracies that were divided, and those that were not used.
     pub(super) fn told_of_accuracies(&self) -> Option<String> {
-        let columns: Vec<usize> = self.sigma.into_iter().chain([self.sigma_height]).flatten().collect();
+        let mut columns: Vec<usize> = self.sigma.into_iter().chain([self.sigma_height]).flatten().collect();
+        columns.dedup();
         let title = |column: usize| self.titles.get(column).map_or("", |title| title.trim());
         let divided = columns.iter().map(|&column| (title(column), self.sigmas(column))).filter(|(_, by)| *by != 1.0);
         let divided: Vec<String> = divided.map(|(title, by)| format!("`{title}` by {by:.3}")).collect();
@@ -75,7 +78,8 @@ impl Columns {
 
     /// Whether the degrees of easting and northing count westwards and southwards by their titles.
     pub(super) fn is_backwards(&self, column: usize) -> bool {
-        self.geographic && self.titles.get(column).is_some_and(|title| counts_backwards(title))
+        let axis = if column == self.northing { Letter::Latitude } else { Letter::Longitude };
+        self.geographic && self.titles.get(column).is_some_and(|title| counts_backwards(title, axis))
     }
 
     /// Degrees that were negated.

@@ -32,7 +32,14 @@ pub(super) fn settled(
 ) -> Result<Option<Columns>> {
     let titles = &columns_as_cut.titles;
     let cells = cells(rows);
-    if rows.is_empty() || cells >= titles.len() {
+    // Where separators show every cell, those that are empty are so.
+    let shows_all = |(_, row): &Row<'_>| row.len() >= titles.len();
+    let is_shown = match separator {
+        Separator::Blanks => false,
+        Separator::Letter('\t') => rows.iter().any(shows_all),
+        Separator::Letter(_) => true,
+    };
+    if rows.is_empty() || cells >= titles.len() || is_shown {
         return Ok(None);
     }
     let fit = fit(columns_as_cut, rows, cells);
@@ -40,16 +47,18 @@ pub(super) fn settled(
     if fit == Fit::Certain && !parts {
         return Ok(None);
     }
+    // A height without a cell is no sign of cells that are shifted.
+    let is_shifted = fit == Fit::Wrong || (parts && separator == Separator::Blanks);
     let better = others(line, titles, separator)
         .into_iter()
-        .filter(|cut| cut.len() == cells)
-        .find_map(|cut| columns(cut).filter(|other| self::fit(other, rows, cells) != Fit::Wrong));
+        .filter(|cut| is_shifted && cut.len() == cells)
+        .find_map(|cut| columns(cut).filter(|other| self::fit(other, rows, cells) == Fit::Certain));
     // Behind titles between wide gaps the last cells of rows may be empty.
     let is_whole = |other: &Columns| {
         self::fit(other, rows, cells) == Fit::Certain && !parts_of_titles(&other.titles) && !has_other_words(other)
     };
     let wide = || others(line, titles, separator).into_iter().take(1).find_map(|cut| columns(cut).filter(is_whole));
-    let better = better.or_else(|| wide().filter(|_| separator == Separator::Blanks));
+    let better = better.or_else(|| wide().filter(|_| is_shifted && separator == Separator::Blanks));
     if better.is_some() {
         return Ok(better);
     }
@@ -73,6 +82,12 @@ pub(super) fn are_titles(line: &Line<'_>, found: &Columns, rows: &[Row<'_>]) -> 
     let titles = &found.titles;
     let known = titles.iter().filter(|title| is_word(title) || is_beside(title)).count();
     let (cells, is_remark) = (cells(rows), line.is_comment());
+    // "Northing" is a title wherever it stands, "north" may be a word of a sentence.
+    const LONGEST_DIRECTION: usize = 5;
+    let is_title = |at: usize| tidy(&titles[at]).chars().count() > LONGEST_DIRECTION;
+    if cells == titles.len() && known > 2 && is_title(found.easting) && is_title(found.northing) {
+        return true;
+    }
     if known * 2 < titles.len() || (is_remark && known * 2 == titles.len()) {
         return false;
     }
@@ -228,8 +243,21 @@ mod tests {
         ] {
             assert_eq!(titles(text, Separator::Blanks).unwrap_or_else(|e| panic!("{text}: {e}")), None, "{text}");
         }
-        for text in ["Name,,E,N,H\nP1,,500100.1,6600200.1\n", "Name,Point,E,N,H\nA,P1,500100.1,6600200.1\n"] {
+        for text in [
+            "Name,,E,N,H\nP1,,500100.1,6600200.1\n",
+            "Name,Point,E,N,H\nA,P1,500100.1,6600200.1\n",
+            "ID,Name,E,N,H\n1,101,500100.1,6600200.1,\n",
+            "Name,,E,N,H\nP1,7,500100.1,6600200.1\n",
+            "Point Number,Point Name,X,Y,Z\n1,101,500100.1,6600200.1,\n",
+            "ID,Name,Longitude,Latitude,Height\n1,101,10.1,59.1,\n",
+        ] {
             assert_eq!(titles(text, Separator::Letter(',')).expect("readable"), None, "{text}");
+        }
+        for text in [
+            "Name\tID\tEasting\tNorthing\tElevation\nP1\t101\t500100.1\t6600200.1\t\n",
+            "Name\tID\tEasting\tNorthing\tElevation\nP1\t101\t500100.1\t6600200.1\n",
+        ] {
+            assert_eq!(titles(text, Separator::Letter('\t')).expect("readable"), None, "{text}");
         }
     }
 

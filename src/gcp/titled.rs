@@ -127,7 +127,9 @@ fn stated_system(
     if let Some(claim) = named {
         return Ok((claim, None));
     }
-    refuse_zones(path, columns, rows)?;
+    if let Some(claim) = zones_in_rows(path, columns, rows) {
+        return Ok((claim, None));
+    }
     let otherwise = || match columns.geographic {
         true => Ok(CrsClaim::Known(Crs::from_epsg(4326)?)),
         false => Ok(CrsClaim::None),
@@ -165,31 +167,31 @@ fn named_in_rows(path: &Path, column: usize, rows: &[Row<'_>]) -> Option<CrsClai
     Some(CrsClaim::Unclear(Error::format(path, line.place(), what)))
 }
 
-/// Rows of two zones are of two systems.
-fn refuse_zones(path: &Path, columns: &Columns, rows: &[Row<'_>]) -> Result<()> {
+/// Rows of two zones are of two systems: which is meant, --crs may say.
+fn zones_in_rows(path: &Path, columns: &Columns, rows: &[Row<'_>]) -> Option<CrsClaim> {
     const TITLES: [&str; 6] = ["zone", "utm zone", "utmzone", "utm", "sone", "zona"];
+    // Bands of UTM have the letters C to X, without I and O.
+    let is_band = |band: &str| matches!(band.as_bytes(), [letter] if matches!(letter.to_ascii_uppercase(), b'C'..=b'H' | b'J'..=b'N' | b'P'..=b'X'));
     let is_zone = |text: &str| {
         let number = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
-        text.len() - number.len() == 1 && number.parse::<u8>().is_ok_and(|zone| (1..=60).contains(&zone))
+        is_band(&text[number.len()..]) && number.parse::<u8>().is_ok_and(|zone| (1..=60).contains(&zone))
     };
-    let Some(column) = columns.titles.iter().position(|title| TITLES.contains(&tidy(title).as_str())) else {
-        return Ok(());
-    };
+    let column = columns.titles.iter().position(|title| TITLES.contains(&tidy(title).as_str()))?;
     let zones: Vec<(String, &str)> = rows
         .iter()
         .filter_map(|(line, cells)| Some((line.place(), cells.get(column)?.trim())))
         .filter(|(_, zone)| !zone.is_empty())
         .collect();
     let number = |zone: &str| zone.trim_end_matches(|c: char| c.is_ascii_alphabetic()).to_owned();
-    let Some((first, zone)) = zones.first().filter(|_| !columns.geographic) else { return Ok(()) };
-    match zones.iter().find(|(_, other)| number(other) != number(zone)) {
-        Some((place, other)) if zones.iter().all(|(_, zone)| is_zone(zone)) => {
-            let what =
-                format!("its coordinates are of zone {other}, those of {first} of zone {zone}; give a list for each");
-            Err(Error::format(path, place.clone(), what))
-        }
-        _ => Ok(()),
-    }
+    let (first, zone) = zones.first().filter(|_| !columns.geographic)?;
+    let (place, other) = zones.iter().find(|(_, other)| number(other) != number(zone))?;
+    zones.iter().all(|(_, zone)| is_zone(zone)).then(|| {
+        let what = format!(
+            "its coordinates are of zone {other}, those of {first} of zone {zone}; give a list for each, or --crs where \
+             all are of one"
+        );
+        CrsClaim::Unclear(Error::format(path, place.clone(), what))
+    })
 }
 
 /// Metashape writes "#CoordinateSystem: WKT" above its header.

@@ -196,6 +196,7 @@ fn what_las_knows_goes_to_its_own_place() {
         "max",
         "--dimension",
         "return_number,point_source_id,withheld",
+        "--keep-noise",
         "--json",
     ]);
     let values = |name: &str| -> Vec<f64> {
