@@ -43,7 +43,11 @@ pub(super) fn polished(detector: &TargetDetector, patch: &Patch, rough: &Fit, si
 fn at_its_middle(detector: &TargetDetector, patch: &Patch, fit: Fit, fall: Option<&Fall>, view_px: f64) -> Fit {
     /// Chi-square of two degrees of freedom; deviations of fits to few cells are themselves uncertain.
     const APART: f64 = 16.0;
-    let least = (3.0 * fit.blur).max(LEAST_MIDDLE_PX);
+    /// A fit that moves farther, in radii of its view, has run to something else.
+    const FARTHEST: f64 = 0.3;
+    // Nearer to the middle than its width a cross has no edges.
+    let edges = if detector.motif == Motif::Cross { fit.as_start().width } else { 0.0 };
+    let least = (3.0 * fit.blur).max(LEAST_MIDDLE_PX).max(edges);
     let inner = |halvings: i32| {
         let radius = view_px * 0.5f64.powi(halvings);
         let mut view = (radius >= least).then(|| View::of(patch, fit.as_start(), radius, POLISH_CELLS)).flatten()?;
@@ -51,7 +55,8 @@ fn at_its_middle(detector: &TargetDetector, patch: &Patch, fit: Fit, fall: Optio
             let origin = (-view.origin.0 / view.scale, -view.origin.1 / view.scale);
             view.samples = fall.in_unit(1.0 / view.scale, origin).evened(&view.samples);
         }
-        view.fit(detector, |_| true)
+        let is_near = |inner: &Fit| (inner.x - fit.x).hypot(inner.y - fit.y) < FARTHEST * radius;
+        view.fit(detector, |_| true).filter(|inner| is_near(inner) && plausible(detector, inner))
     };
     let smaller: Vec<Fit> = [2, 1].into_iter().filter_map(inner).collect();
     let views: Vec<Fit> = smaller.into_iter().chain([fit]).collect();

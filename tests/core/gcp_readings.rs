@@ -79,7 +79,7 @@ fn one_list_is_of_one_system() {
     let list = read_as("l.csv", None, &crs(["", "EPSG:25833", "ETRS89 / UTM zone 33N"])).expect("one system");
     assert_eq!(list.crs.expect("stated").epsg(), Some(25833));
     let zone = |zones| format!("name,easting,northing,Zone\n{}", rows(zones));
-    refused(Some("EPSG:25832"), &zone(["32N", "32N", "33N"]), &["row 4", "zone 33N", "row 2"]);
+    refused(None, &zone(["32N", "32N", "33N"]), &["row 4", "zone 33N", "row 2", "--crs"]);
     for zones in [["32N", "32N", "32V"], ["A", "B", "B"], ["1", "2", "3"]] {
         read_as("l.csv", Some("EPSG:25832"), &zone(zones)).unwrap_or_else(|e| panic!("{zones:?}: {e}"));
     }
@@ -157,4 +157,44 @@ fn only_what_is_carried_nowhere_is_lost() {
     let written = std::fs::read_to_string(&output).expect("written");
     let strips: Vec<&str> = written.lines().skip(1).filter_map(|line| line.rsplit(',').next()).collect();
     assert_eq!(strips, ["1", "1", "3"], "{written}");
+}
+
+/// The same rules, where they must not reach.
+#[test]
+fn what_was_read_rightly_stays_so() {
+    // An empty last column shifts nothing.
+    let list = read("ID,Name,E,N,H\n1,101,500100.1,6600200.1,\n2,102,500200.1,6600300.1,\n");
+    assert_eq!((list.gcps[0].easting, list.gcps[0].northing, list.gcps[0].height), (500100.1, 6600200.1, None));
+    // In American plane coordinates in feet the northing may be the smaller one.
+    let feet =
+        "Point Northing Easting Elevation Surveyor\nP1 660000.1 2200000.2 100.1 Smith\nP2 660100.1 2200100.2 1.1 Lee\n";
+    for text in [feet.to_owned(), format!("# {feet}")] {
+        assert_eq!(of(&read(&text).gcps[0]), ("P1", 2200000.2, 660000.1, Some(100.1)), "{text}");
+    }
+    // The s of seconds is no south.
+    let text =
+        "Name,Latitude (DD MM SS.s),Longitude (DD MM SS.s)\nP1,59 30 11.5,10 20 10.5\nP2,59 30 12.5,10 20 11.5\n";
+    let list = read_as("l.csv", Some("EPSG:4326"), text).expect("degrees");
+    assert!(list.notes.iter().all(|note| !note.contains("south")), "{:?}", list.notes);
+    // A dash is nothing.
+    let list = read("Name,E,N,H,Type\nP1,500100.1,6600200.1,5.1,-\nP2,500200.1,6600300.1,5.2,Check\n");
+    assert_eq!(list.gcps.iter().map(|gcp| gcp.role).collect::<Vec<_>>(), [GcpRole::Control, GcpRole::Check]);
+    // Axes every hundred metres are coordinates.
+    let list = read("100,200.5,10.2,P1\n200,210.5,10.3,P2\n300,205.25,10.4,P3\n");
+    assert_eq!((list.gcps[0].easting, list.gcps[0].northing), (100.0, 200.5));
+    // Two numbers of a building are no thousands of one.
+    let list = read("P1 100 200.5 50 120.3\nP2 110 210.5 60 130.3\n");
+    assert_eq!((list.gcps[1].easting, list.gcps[1].northing), (110.0, 210.5));
+    // Zones of a building site are none of UTM.
+    let text = "Name,E,N,Zone\nP1,500100.1,6600200.1,1A\nP2,500200.1,6600300.1,2B\n";
+    assert!(read_as("l.csv", Some("EPSG:25832"), text).is_ok());
+    let text = text.replace("1A", "32N").replace("2B", "33N");
+    assert!(read_as("l.csv", Some("EPSG:25832"), &text).is_ok());
+    refused(None, &text, &["zone 33N", "--crs"]);
+    // Words beside a place in three coordinates are noted.
+    let text = r#"{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"name": "A",
+        "elevation": "unknown", "accuracy": "good"}, "geometry": {"type": "Point", "coordinates": [1.5, 2.5, 3.5]}}]}"#;
+    let list = read_as("l.geojson", Some("local"), text).expect("a point");
+    assert_eq!(of(&list.gcps[0]), ("A", 1.5, 2.5, Some(3.5)));
+    says(&list, "`good` under `accuracy` is no number");
 }
