@@ -192,9 +192,15 @@ fn what_was_read_rightly_stays_so() {
     assert!(read_as("l.csv", Some("EPSG:25832"), &text).is_ok());
     refused(None, &text, &["zone 33N", "--crs"]);
     // Words beside a place in three coordinates are noted.
-    let text = r#"{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"name": "A",
-        "elevation": "unknown", "accuracy": "good"}, "geometry": {"type": "Point", "coordinates": [1.5, 2.5, 3.5]}}]}"#;
-    let list = read_as("l.geojson", Some("local"), text).expect("a point");
+    let feature = |name: &str, x: f64| {
+        format!(
+            r#"{{"type": "Feature", "properties": {{"name": "{name}", "elevation": "unknown", "accuracy": "good"}},
+            "geometry": {{"type": "Point", "coordinates": [{x}, 2.5, 3.5]}}}}"#
+        )
+    };
+    let text =
+        format!(r#"{{"type": "FeatureCollection", "features": [{}, {}]}}"#, feature("A", 1.5), feature("B", 9.5));
+    let list = read_as("l.geojson", Some("local"), &text).expect("points");
     assert_eq!(of(&list.gcps[0]), ("A", 1.5, 2.5, Some(3.5)));
     says(&list, "`good` under `accuracy` is no number");
 }
