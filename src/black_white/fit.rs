@@ -54,17 +54,7 @@ impl Fit {
 
     /// The motif's share of bright at each sample.
     pub(super) fn shares(&self, motif: Motif, samples: &[Sample]) -> Vec<f64> {
-        let pose = Pose {
-            motif,
-            centre: (self.x, self.y),
-            turned: self.angles.map(f64::sin_cos),
-            widths: self.widths,
-            sigma: self.blur,
-            ground: self.ground,
-            height: self.height,
-            slope: [0.0; 2],
-            origin: (self.x, self.y),
-        };
+        let pose = Pose::bright(motif, (self.x, self.y), self.angles, self.widths, self.blur);
         let (mut values, mut left) = (Vec::new(), Vec::new());
         kernels::values(&pose, &Cells::new(samples), &mut values, &mut left);
         values
@@ -100,15 +90,11 @@ struct Problem<'a> {
 impl Problem<'_> {
     fn pose(&self, p: &Vector) -> Pose {
         Pose {
-            motif: self.motif,
-            centre: (p[0], p[1]),
-            turned: [p[2].sin_cos(), p[3].sin_cos()],
-            widths: [p[4].exp(), p[5].exp()],
-            sigma: p[6].exp(),
             ground: p[7],
             height: p[8],
             slope: [p[9], p[10]],
             origin: (self.start.x, self.start.y),
+            ..Pose::bright(self.motif, (p[0], p[1]), [p[2], p[3]], [p[4].exp(), p[5].exp()], p[6].exp())
         }
     }
 

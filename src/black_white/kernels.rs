@@ -67,6 +67,23 @@ pub struct Pose {
     pub origin: (f64, f64),
 }
 
+impl Pose {
+    /// The motif at a centre, 1 where it is bright on 0: directions in radians.
+    pub fn bright(motif: Motif, (x, y): (f64, f64), directions: [f64; 2], widths: [f64; 2], sigma: f64) -> Pose {
+        Pose {
+            motif,
+            centre: (x, y),
+            turned: directions.map(f64::sin_cos),
+            widths,
+            sigma,
+            ground: 0.0,
+            height: 1.0,
+            slope: [0.0; 2],
+            origin: (x, y),
+        }
+    }
+}
+
 /// Sums over all cells, weighted: products of gradients (upper triangle, by rows), gradients times what is left over,
 /// and squares of what is left over.
 pub struct Equations {

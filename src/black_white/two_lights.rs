@@ -46,17 +46,7 @@ struct Problem<'a> {
 impl Problem<'_> {
     /// The motif, bright 1 on dark 0.
     fn pose(&self, p: &Vector) -> Pose {
-        Pose {
-            motif: self.motif,
-            centre: (p[0], p[1]),
-            turned: [p[2].sin_cos(), p[3].sin_cos()],
-            widths: [p[4].exp(), p[5].exp()],
-            sigma: p[6].exp(),
-            ground: 0.0,
-            height: 1.0,
-            slope: [0.0; 2],
-            origin: (p[0], p[1]),
-        }
+        Pose::bright(self.motif, (p[0], p[1]), [p[2], p[3]], [p[4].exp(), p[5].exp()], p[6].exp())
     }
 
     /// Calls `each` with every sample, what the model leaves over there and the model's gradient.
