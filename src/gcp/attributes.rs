@@ -9,7 +9,7 @@ use crate::gcp::columns::columns;
 use crate::gcp::raw::{RawList, RawPoint};
 use crate::gcp::units::Unit;
 use crate::gcp::{said_of_columns, titles};
-use autoref_raster::error::Result;
+use autoref_raster::error::{Error, Result};
 
 /// Titles without which a table has no points; features have their coordinates in a geometry.
 const PLACEHOLDERS: [&str; 2] = ["easting", "northing"];
@@ -19,9 +19,14 @@ const PLACEHOLDERS: [&str; 2] = ["easting", "northing"];
 pub(super) struct Told {
     titles: BTreeSet<String>,
     others: bool,
-    roles: BTreeSet<(String, String)>,
+    roles: BTreeSet<said_of_columns::UnclearRole>,
     notes: BTreeSet<String>,
+    /// Numbers of features that are no points, and what they are.
+    no_points: Vec<(usize, String)>,
 }
+
+/// Features that are named in one note.
+const NAMED: usize = 5;
 
 impl Told {
     /// A point, and the title of the attribute that its height is.
@@ -32,14 +37,34 @@ impl Told {
         }
     }
 
+    /// A feature that is no point: a boundary or a track beside the points, an element without a place.
+    pub(super) fn no_point(&mut self, number: usize, what: impl Into<String>) {
+        self.no_points.push((number, what.into()));
+    }
+
     /// Hands the unit of all heights to the list, and what is to be said.
-    pub(super) fn tell(self, path: &Path, list: &mut RawList) {
+    ///
+    /// # Errors
+    /// A list without points has features of another kind.
+    pub(super) fn tell(self, path: &Path, list: &mut RawList) -> Result<()> {
+        if let (Some((number, what)), true) = (self.no_points.first(), list.points.is_empty()) {
+            let said = format!("it must be a point, it has {what}; give a layer of points");
+            return Err(Error::format(path, format!("feature {number}"), said));
+        }
         let mut titles = self.titles.into_iter().filter(|_| !self.others);
         if let (Some(title), None) = (titles.next(), titles.next()) {
             list.units.height = Unit::of_title(&title).map(|unit| (unit, title));
         }
-        let notes = self.notes.into_iter().chain(said_of_columns::of_roles(&self.roles));
+        let named = self.no_points.iter().take(NAMED).map(|(number, what)| format!("feature {number} ({what})"));
+        let named: Vec<String> = named.collect();
+        let more = match self.no_points.len().saturating_sub(NAMED) {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        let passed = (!named.is_empty()).then(|| format!("passed over, no points: {}{more}", named.join(", ")));
+        let notes = self.notes.into_iter().chain(said_of_columns::of_roles(&self.roles)).chain(passed);
         list.notes.extend(notes.map(|what| format!("{}: {what}", path.display())));
+        Ok(())
     }
 }
 

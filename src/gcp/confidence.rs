@@ -27,9 +27,11 @@ pub(super) fn sigmas(title: &str, measured: Measured) -> Option<f64> {
     let words: Vec<&str> = plain.split_whitespace().collect();
     let factor = |(share, radius, axis): &(&str, f64, f64)| {
         let is_share = words.windows(2).any(|pair| pair[0] == *share && ["%", "percent", "pct"].contains(&pair[1]));
+        let is_error = |of: &str| {
+            words.contains(&format!("{of}{share}").as_str()) || words.windows(2).any(|pair| pair == [of, *share])
+        };
         // Circular and linear error.
-        let is_circular = words.contains(&format!("ce{share}").as_str());
-        let is_linear = words.contains(&format!("le{share}").as_str());
+        let (is_circular, is_linear) = (is_error("ce"), is_error("le"));
         match measured {
             Measured::Radius if is_share || is_circular => Some(*radius),
             Measured::Axis if is_share || is_linear || is_circular => Some(*axis),
@@ -60,6 +62,8 @@ mod tests {
             ("Horizontal Accuracy (95%)", Measured::Radius, Some(2.447_747)),
             ("Vertical Accuracy (95 %)", Measured::Axis, Some(1.959_964)),
             ("CE90", Measured::Radius, Some(2.145_966)),
+            ("CE 95", Measured::Radius, Some(2.447_747)),
+            ("LE-95 (m)", Measured::Axis, Some(1.959_964)),
             ("LE90 (m)", Measured::Axis, Some(1.644_854)),
             ("Accuracy (2 sigma)", Measured::Radius, Some(2.0)),
             ("Accuracy (2σ)", Measured::Axis, Some(2.0)),

@@ -1,4 +1,4 @@
-//! GCPs as GeoJSON: Point features, 2-D or 3-D, with or without the `crs` member of the 2008 format.
+//! GCPs as GeoJSON: Point features (or MultiPoints of one), 2-D or 3-D, with or without the `crs` member of the 2008 format.
 //!
 //! RFC 7946 (H. Butler et al., "The GeoJSON Format", 2016) says longitude, latitude; many survey programs write
 //! projected coordinates all the same, so that is decided by the values.
@@ -38,12 +38,16 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
     let ours = |f: &Value| !matches!(f["properties"]["layer"].as_str(), Some("mark" | "residual"));
     let (mut points, mut told) = (Vec::new(), Told::default());
     for (index, feature) in features.iter().enumerate().filter(|(_, feature)| ours(feature)) {
-        let (point, title) = point(path, index, feature, &mut told)?;
+        let Some(coordinates) = coordinates(&feature["geometry"]) else {
+            told.no_point(index + 1, feature["geometry"]["type"].as_str().unwrap_or("no geometry"));
+            continue;
+        };
+        let (point, title) = point(path, index, feature, coordinates, &mut told)?;
         told.height(&point, title);
         points.push(point);
     }
     let mut list = RawList::new(points, stated_system(path, &document["crs"]));
-    told.tell(path, &mut list);
+    told.tell(path, &mut list)?;
     list.may_be_degrees = true;
     list.order = ColumnOrder::Ruled;
     Ok(list)
@@ -77,7 +81,25 @@ fn titled(properties: &Value) -> &Value {
     find(&tidied, NAMES).map_or(&Value::Null, |at| &properties[keys[at].as_str()])
 }
 
-fn point(path: &Path, index: usize, feature: &Value, told: &mut Told) -> Result<(RawPoint, Option<String>)> {
+/// Those of a point, or of the only point of several; GIS programs write either.
+fn coordinates(geometry: &Value) -> Option<&Value> {
+    match geometry["type"].as_str() {
+        Some("Point") => Some(&geometry["coordinates"]),
+        Some("MultiPoint") => match geometry["coordinates"].as_array().map(Vec::as_slice) {
+            Some([one]) => Some(one),
+            _ => None,
+        },
+        _ => None,
+    }
+}
+
+fn point(
+    path: &Path,
+    index: usize,
+    feature: &Value,
+    coordinates: &Value,
+    told: &mut Told,
+) -> Result<(RawPoint, Option<String>)> {
     let place = format!("feature {}", index + 1);
     let properties = &feature["properties"];
     let name = [&properties["name"], &properties["id"], &properties["Name"], titled(properties), &feature["id"]]
@@ -88,14 +110,8 @@ fn point(path: &Path, index: usize, feature: &Value, told: &mut Told) -> Result<
             _ => None,
         })
         .unwrap_or_else(|| (index + 1).to_string());
-    if feature["geometry"]["type"].as_str() != Some("Point") {
-        let found = feature["geometry"]["type"].as_str().unwrap_or("no geometry");
-        return Err(Error::format(path, place, format!("point `{name}` must be a Point, it is {found}")));
-    }
-    let coordinates: Vec<f64> = feature["geometry"]["coordinates"]
-        .as_array()
-        .map(|values| values.iter().map_while(Value::as_f64).collect())
-        .unwrap_or_default();
+    let coordinates: Vec<f64> =
+        coordinates.as_array().map(|values| values.iter().map_while(Value::as_f64).collect()).unwrap_or_default();
     if !(2..=4).contains(&coordinates.len()) {
         return Err(Error::format(path, place, format!("point `{name}` needs two or three numbers as coordinates")));
     }

@@ -77,25 +77,25 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
     if layer.defn().geometry_type() == OGRwkbGeometryType::wkbNone {
         return sheet::parse(path, &mut layer, titles_of_sheets);
     }
-    let (mut points, mut without) = (Vec::new(), Vec::new());
-    let mut told = Told::default();
+    let (mut points, mut told) = (Vec::new(), Told::default());
     for (i, feature) in layer.features().enumerate() {
-        match feature.geometry() {
-            // GDAL hands out one without a name where there is none.
-            Some(geometry) if !geometry.geometry_name().is_empty() => {
-                let (mut point, title) = point(path, i + 1, &feature, geometry, &titles, &mut told)?;
-                told.height(&point, title);
-                point.attributes.retain(|(title, _)| !columns_of_driver(&driver).contains(&title.as_str()));
-                points.push(point);
-            }
-            _ => without.push((i + 1).to_string()),
-        }
+        // GDAL hands out a geometry without a name where there is none.
+        let geometry = feature.geometry().filter(|geometry| !geometry.geometry_name().is_empty());
+        let Some(geometry) = geometry else {
+            told.no_point(i + 1, "no geometry");
+            continue;
+        };
+        let Some(at) = only_point(geometry) else {
+            told.no_point(i + 1, geometry.geometry_name());
+            continue;
+        };
+        let (mut point, title) = point(path, i + 1, &feature, at, &titles, &mut told)?;
+        told.height(&point, title);
+        point.attributes.retain(|(title, _)| !columns_of_driver(&driver).contains(&title.as_str()));
+        points.push(point);
     }
     let mut list = RawList::new(points, crs);
-    told.tell(path, &mut list);
-    if !without.is_empty() {
-        list.notes.push(format!("{}: passed over, without a geometry: feature {}", path.display(), without.join(", ")));
-    }
+    told.tell(path, &mut list)?;
     Ok(list)
 }
 
@@ -148,34 +148,31 @@ fn layer(path: &Path, dataset: &Dataset, wanted: Option<&str>) -> Result<usize> 
     }
 }
 
+/// Easting, northing and, where it has one, height of a point, or of the only point of several.
+fn only_point(geometry: &Geometry) -> Option<(f64, f64, Option<f64>)> {
+    let (x, y, z) = match geometry_type_flatten(geometry.geometry_type()) {
+        OGRwkbGeometryType::wkbPoint if !geometry.is_empty() => geometry.get_point(0),
+        OGRwkbGeometryType::wkbMultiPoint if geometry.geometry_count() == 1 => geometry.get_geometry(0).get_point(0),
+        _ => return None,
+    };
+    Some((x, y, geometry_type_has_z(geometry.geometry_type()).then_some(z)))
+}
+
 fn point(
     path: &Path,
     number: usize,
     feature: &Feature<'_>,
-    geometry: &Geometry,
+    (x, y, z): (f64, f64, Option<f64>),
     titles: &[String],
     told: &mut Told,
 ) -> Result<(RawPoint, Option<String>)> {
-    let place = format!("feature {number}");
-    let kind = geometry_type_flatten(geometry.geometry_type());
-    let (x, y, z) = match kind {
-        OGRwkbGeometryType::wkbPoint if !geometry.is_empty() => geometry.get_point(0),
-        OGRwkbGeometryType::wkbMultiPoint if geometry.geometry_count() == 1 => geometry.get_geometry(0).get_point(0),
-        _ => {
-            let found = geometry.geometry_name();
-            return Err(Error::format(
-                path,
-                place,
-                format!("it must be a point, it is {found}; give a layer of points"),
-            ));
-        }
-    };
     let own = attributes::fields(feature);
+    let place = format!("feature {number}");
     let (mut point, title) = attributes::point(path, place, (titles, &own), (x, y), &number.to_string(), told)?;
-    if !geometry_type_has_z(geometry.geometry_type()) {
+    if z.is_none() {
         return Ok((point, title));
     }
-    point.gcp.height = Some(z);
+    point.gcp.height = z;
     Ok((point, None))
 }
 

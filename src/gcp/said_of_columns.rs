@@ -14,18 +14,31 @@ use crate::gcp::titles::tidy;
 const SHOWN: usize = 4;
 
 impl Columns {
-    /// What the words of a row under its roles leave open, with the title.
-    pub(super) fn unclear_roles(&self, fields: &[String]) -> Vec<(String, String)> {
+    /// What the words of a row under its roles leave open, where no other cell of the row settles it.
+    pub(super) fn unclear_roles(&self, fields: &[String]) -> Vec<UnclearRole> {
         type Of = fn(&str) -> Said;
         let columns: [(Option<usize>, Of); 3] =
             [(self.role, roles::of_role), (self.check, roles::of_check), (self.enabled, roles::of_enabled)];
-        let said = columns.into_iter().filter_map(|(column, of)| {
-            let (title, text) = (self.titles.get(column?)?.trim(), fields.get(column?)?.trim());
-            // "CP" is a control point to some.
-            let is_unclear = of(text) == Said::Unknown || text.eq_ignore_ascii_case("cp");
-            (!text.is_empty() && is_unclear).then(|| (text.to_owned(), title.to_owned()))
-        });
-        said.collect()
+        let said = |(column, of): (Option<usize>, Of)| {
+            let (title, word) = (self.titles.get(column?)?.trim(), fields.get(column?)?.trim());
+            (!word.is_empty()).then(|| (title, word, of(word)))
+        };
+        let cells: Vec<(&str, &str, Said)> = columns.into_iter().filter_map(said).collect();
+        // "CP" is a control point to some.
+        let is_unclear =
+            |(_, word, said): &(&str, &str, Said)| *said == Said::Unknown || word.eq_ignore_ascii_case("cp");
+        let is_check = cells.iter().any(|(_, _, said)| *said == Said::Role(GcpRole::Check));
+        let taken = if is_check { GcpRole::Check } else { GcpRole::Control };
+        if cells.iter().any(|cell| !is_unclear(cell) && cell.2 == Said::Role(taken)) {
+            return Vec::new();
+        }
+        let decides = |cell: &&(&str, &str, Said)| is_unclear(cell) && (!is_check || cell.2 == Said::Role(taken));
+        let unclear = |(title, word, _): &(&str, &str, Said)| UnclearRole {
+            word: (*word).to_owned(),
+            title: (*title).to_owned(),
+            is_check,
+        };
+        cells.iter().filter(decides).map(unclear).collect()
     }
 
     /// How many standard deviations the accuracies under a title are, and what they are divided by.
@@ -92,20 +105,26 @@ impl Columns {
     }
 }
 
+/// A word under a title of roles that is not known, or means two things.
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct UnclearRole {
+    word: String,
+    title: String,
+    /// What the point was taken for, if not for a control point.
+    is_check: bool,
+}
+
 /// A note on words of roles that are not known, or mean two things.
-pub(super) fn of_roles(unclear: &BTreeSet<(String, String)>) -> Option<String> {
-    let taken = |word: &str| match roles::of_role(word) {
-        Said::Role(GcpRole::Check) => "a check point",
-        _ => "a control point",
-    };
+pub(super) fn of_roles(unclear: &BTreeSet<UnclearRole>) -> Option<String> {
+    let taken = |role: &UnclearRole| if role.is_check { "a check point" } else { "a control point" };
     let shown: Vec<String> = unclear
         .iter()
         .take(SHOWN)
-        .map(|(word, title)| format!("`{word}` in `{title}` was taken for {}", taken(word)))
+        .map(|role| format!("`{}` in `{}` was taken for {}", role.word, role.title, taken(role)))
         .collect();
     let more = match unclear.len().saturating_sub(SHOWN) {
         0 => String::new(),
-        more => format!(", and {more} other words for control points"),
+        more => format!(", and {more} other words likewise"),
     };
     (!shown.is_empty()).then(|| format!("{}{more}; --check names the check points", shown.join(", ")))
 }

@@ -99,6 +99,13 @@ fn roles_in_many_words() {
     assert_eq!(checks(&with("use", &["yes", "no"])), [false, true]);
     assert_eq!(checks(&with("Enabled", &["ja", "nein", "off"])), [false, true, true]);
     says(&with("type", &["CP", "GCP"]), "`CP` in `type` was taken for a check point");
+    // Each word by what its own column makes of it.
+    says(&with("check", &["skip", "no"]), "`skip` in `check` was taken for a control point");
+    says(&with("enabled", &["CP", "yes"]), "`CP` in `enabled` was taken for a control point");
+    // What another column says of the point settles it.
+    let settled = read("name,easting,northing,type,check\nA,1.5,2.5,tree,no\nB,3.5,2.5,tree,yes\nC,5.5,2.5,CP,yes\n");
+    assert_eq!(checks(&settled), [false, true, true]);
+    assert!(settled.notes.iter().all(|note| !note.contains("was taken for")), "{:?}", settled.notes);
 }
 
 #[test]
@@ -203,4 +210,42 @@ fn what_was_read_rightly_stays_so() {
     let list = read_as("l.geojson", Some("local"), &text).expect("points");
     assert_eq!(of(&list.gcps[0]), ("A", 1.5, 2.5, Some(3.5)));
     says(&list, "`good` under `accuracy` is no number");
+}
+
+#[test]
+fn what_is_no_point_is_passed_over_where_there_are_points() {
+    let feature = |geometry: &str, name: &str| {
+        format!(r#"{{"type":"Feature","geometry":{geometry},"properties":{{"name":"{name}"}}}}"#)
+    };
+    let geojson =
+        |features: &[String]| format!(r#"{{"type":"FeatureCollection","features":[{}]}}"#, features.join(","));
+    let boundary = feature(r#"{"type":"LineString","coordinates":[[500100,6600200],[500900,6600900]]}"#, "boundary");
+    let text = geojson(&[
+        feature(r#"{"type":"Point","coordinates":[500100.5,6600200.5]}"#, "A"),
+        boundary.clone(),
+        feature(r#"{"type":"MultiPoint","coordinates":[[500200.5,6600300.5,12.5]]}"#, "B"),
+        feature("null", "C"),
+    ]);
+    let list = read_as("l.geojson", Some("EPSG:25832"), &text).expect("two points");
+    let names: Vec<(&str, Option<f64>)> = list.gcps.iter().map(|gcp| (gcp.name.as_str(), gcp.height)).collect();
+    assert_eq!(names, [("A", None), ("B", Some(12.5))]);
+    says(&list, "passed over, no points: feature 2 (LineString), feature 4 (no geometry)");
+    let error = read_as("l.geojson", Some("EPSG:25832"), &geojson(&[boundary])).expect_err("no point");
+    assert!(error.contains("feature 1") && error.contains("LineString"), "{error}");
+
+    let placemark = |name: &str, geometry: &str| format!("<Placemark><name>{name}</name>{geometry}</Placemark>");
+    let kml = |marks: &[String]| {
+        let marks = marks.concat();
+        format!(
+            r#"<?xml version="1.0"?><kml xmlns="http://www.opengis.net/kml/2.2"><Document><Folder>{marks}</Folder></Document></kml>"#
+        )
+    };
+    let line = placemark("track", "<LineString><coordinates>10.1,59.1 10.2,59.2</coordinates></LineString>");
+    let points = [("A", "10.1,59.1,5"), ("B", "10.2,59.2,6")]
+        .map(|(name, at)| placemark(name, &format!("<Point><coordinates>{at}</coordinates></Point>")));
+    let list = read_as("l.kml", None, &kml(&[points[0].clone(), line.clone(), points[1].clone()])).expect("two points");
+    assert_eq!(list.gcps.len(), 2);
+    says(&list, "passed over, no points: feature 2 (LINESTRING)");
+    let error = read_as("l.kml", None, &kml(&[line])).expect_err("no point");
+    assert!(error.contains("no layer with points") || error.contains("it must be a point"), "{error}");
 }
