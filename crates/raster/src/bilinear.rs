@@ -14,7 +14,8 @@ where
     T: Copy + Add<Output = T> + Sub<Output = T> + Mul<Output = T>,
 {
     let between = |[first, second]: [T; 2], share: T| first + (second - first) * share;
-    between(corners.map(|row| between(row, at[0])), at[1])
+    let [above, below] = corners;
+    between([between(above, at[0]), between(below, at[0])], at[1])
 }
 
 /// By weights that sum to one, of numbers or vectors: at a corner it is the corner's value exactly.
@@ -25,7 +26,8 @@ where
     W: Copy + From<u8> + Sub<Output = W>,
 {
     let between = |[first, second]: [T; 2], share: W| first * (W::from(1) - share) + second * share;
-    between(corners.map(|row| between(row, at[0])), at[1])
+    let [above, below] = corners;
+    between([between(above, at[0]), between(below, at[0])], at[1])
 }
 
 #[cfg(test)]

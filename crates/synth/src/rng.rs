@@ -108,25 +108,69 @@ impl NoiseTable {
 /// Value noise in [0, 1] at a place: hashed lattice values, smoothed between.
 #[inline]
 pub fn value_noise(seed: u64, x: f32, y: f32) -> f32 {
-    // Floor by hand: the baseline instruction set makes a library call of `f32::floor`.
-    let floor = |t: f32| t as i64 - i64::from((t as i64 as f32) > t);
     let (i, j) = (floor(x), floor(y));
-    let (fx, fy) = (x - i as f32, y - j as f32);
-    let (sx, sy) = (fx * fx * (3.0 - 2.0 * fx), fy * fy * (3.0 - 2.0 * fy));
+    between(&corners(seed, i, j), x - i as f32, y - j as f32)
+}
+
+/// [`value_noise`] of one seed for places one after another: what the corners of a cell are is kept while they lie in
+/// it.
+#[derive(Clone, Debug)]
+pub struct ValueNoise {
+    seed: u64,
+    /// Column and row.
+    cell: (i64, i64),
+    corners: [[f32; 2]; 2],
+}
+
+impl ValueNoise {
+    /// The noise of a seed.
+    pub fn new(seed: u64) -> Self {
+        ValueNoise { seed, cell: (0, 0), corners: corners(seed, 0, 0) }
+    }
+
+    /// The noise at a place.
+    #[inline]
+    pub fn at(&mut self, x: f32, y: f32) -> f32 {
+        let (i, j) = (floor(x), floor(y));
+        if i != self.cell.0 || j != self.cell.1 {
+            self.cell = (i, j);
+            self.corners = corners(self.seed, i, j);
+        }
+        between(&self.corners, x - i as f32, y - j as f32)
+    }
+}
+
+/// By hand: the baseline instruction set makes a library call of `f32::floor`.
+#[inline]
+fn floor(t: f32) -> i64 {
+    t as i64 - i64::from((t as i64 as f32) > t)
+}
+
+/// Lattice values about a cell, row by row.
+#[inline]
+fn corners(seed: u64, i: i64, j: i64) -> [[f32; 2]; 2] {
     let at = |i, j| (hash2(seed, i, j) >> 40) as f32 * (1.0 / 16_777_216.0);
     let line = |j| [at(i, j), at(i + 1, j)];
-    by_differences([line(j), line(j + 1)], [sx, sy])
+    [line(j), line(j + 1)]
+}
+
+#[inline]
+fn between(corners: &[[f32; 2]; 2], fx: f32, fy: f32) -> f32 {
+    let (sx, sy) = (fx * fx * (3.0 - 2.0 * fx), fy * fy * (3.0 - 2.0 * fy));
+    by_differences(*corners, [sx, sy])
 }
 
 #[cfg(test)]
 mod tests {
-    use super::hash2;
+    use super::*;
 
     #[test]
-    fn places_have_numbers_of_their_own_and_other_ones_with_another_seed() {
-        let places = || (0..10).flat_map(|x| (0..10).map(move |y| (x, y)));
-        let numbers: std::collections::HashSet<u64> = places().map(|(x, y)| hash2(2016, x, y)).collect();
-        assert_eq!(numbers.len(), 100);
-        assert!(places().all(|(x, y)| hash2(2016, x, y) != hash2(2017, x, y)));
+    fn noise_is_the_same_whatever_was_asked_before() {
+        let mut noise = ValueNoise::new(7);
+        let mut draws = Rng::new(3, 1, 0);
+        for _ in 0..10_000 {
+            let [x, y] = [0, 1].map(|_| draws.range(-3.0, 3.0) as f32);
+            assert_eq!(noise.at(x, y), value_noise(7, x, y), "({x}, {y})");
+        }
     }
 }

@@ -9,7 +9,7 @@ use crate::types::Camera;
 use autoref_raster::bilinear::by_differences;
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::window::Window;
-use autoref_synth::rng::{Rng, hash2, value_noise};
+use autoref_synth::rng::{Rng, ValueNoise, hash2};
 
 /// Light through the opaque frame, of white: film is never quite black.
 const OPAQUE: f32 = 0.07;
@@ -133,6 +133,9 @@ impl Damage {
         }
     }
 }
+
+/// The noise that drawn ground is a sum of, each finer than the one before.
+type Octaves = [ValueNoise; 4];
 
 /// What lies under the marks of one frame.
 enum Picture {
@@ -258,7 +261,8 @@ impl Painter {
                         })
                 });
                 let through = self.models[k].point_radius_mm().is_some();
-                let hole_contrast = through.then(|| self.spec.gain * f64::from((self.ground(p.x, p.y) - OPAQUE).abs()));
+                let hole_contrast = through
+                    .then(|| self.spec.gain * f64::from((self.ground(p.x, p.y, &mut self.octaves()) - OPAQUE).abs()));
                 FilmMark {
                     mark: camera.marks[k].name.clone(),
                     x: p.x,
@@ -271,8 +275,13 @@ impl Painter {
             .collect()
     }
 
+    /// The octaves of drawn ground.
+    fn octaves(&self) -> Octaves {
+        [0, 2, 4, 6].map(|k| ValueNoise::new(self.spec.seed ^ k))
+    }
+
     /// The exposed image at a place of the scan, fixed to the film, without edges.
-    fn ground(&self, x: f64, y: f64) -> f32 {
+    fn ground(&self, x: f64, y: f64, octaves: &mut Octaves) -> f32 {
         let (dx, dy) = (x - self.pose.offset[0], y - self.pose.offset[1]);
         let unit = self.pose.px_per_mm();
         let film = [self.inverse[0] * dx + self.inverse[1] * dy, self.inverse[2] * dx + self.inverse[3] * dy];
@@ -295,11 +304,12 @@ impl Painter {
                 by_differences([line(y0), line(y0 + 1)], [fx, fy]) / 255.0
             }
             Picture::Noise => {
-                let octave = |k: u32| {
+                let [first, second, third, fourth] = octaves;
+                let part = |noise: &mut ValueNoise, k: u32| {
                     let s = f64::from(1 << k) / 400.0;
-                    value_noise(self.spec.seed ^ u64::from(k), (u * s) as f32, (v * s) as f32) / (k + 1) as f32
+                    noise.at((u * s) as f32, (v * s) as f32) / (k + 1) as f32
                 };
-                (octave(0) + octave(2) + octave(4) + octave(6)) / 1.68
+                (part(first, 0) + part(second, 2) + part(third, 4) + part(fourth, 6)) / 1.68
             }
         };
         let size = [self.image[2] - self.image[0], self.image[3] - self.image[1]];
@@ -345,6 +355,7 @@ impl Painter {
     pub(super) fn render(&self, window: Window) -> Vec<u16> {
         let (width, height) = (window.width as usize, window.height as usize);
         let mut light = vec![0.0f32; width * height];
+        let mut octaves = self.octaves();
         for y in 0..height {
             let cy = (window.y + y as u64) as f64 + 0.5;
             // Marks near this row.
@@ -363,8 +374,8 @@ impl Painter {
                     even = if near.is_empty() { self.even(cx, cy) } else { None };
                 }
                 light[y * width + x] = match even {
-                    Some(tone) => tone.unwrap_or_else(|| self.ground(cx, cy)),
-                    None => self.pixel(cx, cy, &near),
+                    Some(tone) => tone.unwrap_or_else(|| self.ground(cx, cy, &mut octaves)),
+                    None => self.pixel(cx, cy, &near, &mut octaves),
                 };
             }
         }
@@ -388,15 +399,15 @@ impl Painter {
         (clear(0) && clear(1)).then(|| self.tone(x + HALF_PX, y, &[]))
     }
 
-    fn pixel(&self, x: f64, y: f64, near: &[usize]) -> f32 {
+    fn pixel(&self, x: f64, y: f64, near: &[usize], octaves: &mut Octaves) -> f32 {
         let middle = self.tone(x, y, near);
         const CORNERS: [(f64, f64); 4] = [(-1.7, -1.7), (1.7, -1.7), (-1.7, 1.7), (1.7, 1.7)];
         let learned = near.iter().any(|k| matches!(self.models[*k], Model::Learned(_)));
         let even = learned || CORNERS.iter().all(|(dx, dy)| self.tone(x + dx, y + dy, near) == middle);
         if even && !self.is_thin(near) {
-            return middle.unwrap_or_else(|| self.ground(x, y));
+            return middle.unwrap_or_else(|| self.ground(x, y, octaves));
         }
-        let ground = self.ground(x, y);
+        let ground = self.ground(x, y, octaves);
         let shown = |&(dx, dy): &(f64, f64)| self.tone(x + dx, y + dy, near).unwrap_or(ground);
         let turn = hash2(0x51, x.floor() as i64, y.floor() as i64) as usize % TURNS;
         self.kernels[turn].iter().map(shown).sum::<f32>() / PLACES as f32
