@@ -45,8 +45,8 @@ fn at_its_middle(detector: &TargetDetector, patch: &Patch, fit: Fit, fall: Optio
     const APART: f64 = 16.0;
     /// A fit that moves farther, in radii of its view, has run to something else.
     const FARTHEST: f64 = 0.3;
-    // Nearer to the middle than its width a cross has no edges.
-    let edges = if detector.motif == Motif::Cross { fit.as_start().width } else { 0.0 };
+    // Nearer to the middle than half a width, at its corners two thirds, a cross has no edges.
+    let edges = if detector.motif == Motif::Cross { 0.8 * fit.as_start().width } else { 0.0 };
     let least = (3.0 * fit.blur).max(LEAST_MIDDLE_PX).max(edges);
     let inner = |halvings: i32| {
         let radius = view_px * 0.5f64.powi(halvings);

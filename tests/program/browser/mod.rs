@@ -63,6 +63,7 @@ impl Browser {
             .args(["--disable-background-networking", "--disable-dev-shm-usage", "--remote-debugging-port=0"])
             .args(["--window-size=1280,900", "--hide-scrollbars"])
             .arg(format!("--user-data-dir={}", profile.path().display()))
+            .env("TMPDIR", profile.path())
             .arg("about:blank")
             .stdout(Stdio::null())
             .stderr(Stdio::null())

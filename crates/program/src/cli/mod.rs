@@ -148,10 +148,11 @@ pub fn dispatch(cli: Cli) -> anyhow::Result<ExitCode> {
 
 /// Where messages go, and the clock of the stages when `--verbose` or `--profile-json` asks for it.
 pub fn init_log(cli: &Cli) -> Option<stage_times::StageTimes> {
-    use tracing_subscriber::prelude::*;
+    use tracing_subscriber::{filter::Targets, prelude::*};
     let default = ["warn", "info", "debug"][usize::from(cli.verbose.min(2))];
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(default));
+    let named = std::env::var("RUST_LOG").ok().filter(|text| !text.trim().is_empty());
+    let asked = named.and_then(|text| text.parse::<Targets>().ok());
+    let filter = asked.unwrap_or_else(|| default.parse().expect("a level by its name"));
     let colours = std::io::IsTerminal::is_terminal(&std::io::stderr());
     let messages =
         tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(colours).event_format(Message);
