@@ -74,14 +74,10 @@ fn initial(recorded: &RunResult) -> Vec<Option<Held>> {
         let centre = PixelPoint { x: row.x, y: row.y };
         let known = recorded.candidates.iter().find(|c| c.centre == centre).cloned();
         let mark = known.unwrap_or(Candidate {
-            centre,
             covariance_px2: row.covariance_px2,
             score: row.score,
-            area_px: None,
-            size_px: None,
-            elevation_m: None,
             code: row.code.clone(),
-            paint: None,
+            ..Candidate::at(centre)
         });
         held[gcp] = Some(Held { mark, found_by: row.found_by, used: true });
     }

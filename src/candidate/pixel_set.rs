@@ -319,25 +319,11 @@ pub(crate) fn region_of(own: &PixelSet, patch: &Patch) -> Option<Region> {
     let mut region: Option<Region> = None;
     for i in own.iter() {
         let (x, y) = (patch.window.x + i as u64 % width, patch.window.y + i as u64 / width);
-        let r = region.get_or_insert_with(|| Region {
-            first: (y, x),
-            bounds: Window::new(x, y, 1, 1),
-            area: 0,
-            sum_x: 0,
-            sum_y: 0,
-            sum_xx: 0,
-            sum_xy: 0,
-            sum_yy: 0,
-            perimeter: 0,
-        });
-        let (u, v) = (u128::from(x), u128::from(y));
-        r.bounds = r.bounds.union(&Window::new(x, y, 1, 1));
-        r.area += 1;
-        r.sum_x += u;
-        r.sum_y += v;
-        r.sum_xx += u * u;
-        r.sum_xy += u * v;
-        r.sum_yy += v * v;
+        let pixel = Region::of_run(x, x + 1, y);
+        match &mut region {
+            Some(region) => region.absorb(&pixel, 0),
+            None => region = Some(pixel),
+        }
     }
     let mut region = region.filter(|r| r.area >= 3)?;
     region.perimeter = 2 * (region.bounds.width + region.bounds.height);

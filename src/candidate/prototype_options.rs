@@ -243,14 +243,10 @@ mod tests {
 
     fn at(x: f64, y: f64, score: f64) -> Candidate {
         Candidate {
-            centre: PixelPoint { x, y },
-            covariance_px2: None,
             score: Some(score),
             area_px: Some(78.5),
             size_px: Some([10.0, 10.0]),
-            elevation_m: None,
-            code: None,
-            paint: None,
+            ..Candidate::at(PixelPoint { x, y })
         }
     }
 

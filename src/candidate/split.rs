@@ -218,16 +218,7 @@ mod tests {
 
     #[test]
     fn one_part_alone_must_be_far_likelier_than_the_whole() {
-        let of = |score: f64| Candidate {
-            centre: PixelPoint { x: 0.0, y: 0.0 },
-            covariance_px2: None,
-            score: Some(score),
-            area_px: None,
-            size_px: None,
-            elevation_m: None,
-            code: None,
-            paint: None,
-        };
+        let of = |score: f64| Candidate { score: Some(score), ..Candidate::at(PixelPoint { x: 0.0, y: 0.0 }) };
         assert!(!are_likelier(&[of(5.0)], &of(1.0), true));
         assert!(are_likelier(&[of(9.0)], &of(1.0), true));
         assert!(are_likelier(&[of(5.0), of(2.0)], &of(1.0), true));

@@ -156,14 +156,10 @@ mod tests {
 
     fn example() -> Candidate {
         Candidate {
-            centre: PixelPoint { x: 12.345678901234, y: 0.1 + 0.2 },
             covariance_px2: Some([1e-4, -2.5e-5, 3e-4]),
             score: Some(17.25),
             area_px: Some(96.0),
-            size_px: None,
-            elevation_m: None,
-            code: None,
-            paint: None,
+            ..Candidate::at(PixelPoint { x: 12.345678901234, y: 0.1 + 0.2 })
         }
     }
 

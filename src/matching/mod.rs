@@ -200,16 +200,8 @@ mod tests {
 
     #[test]
     fn the_size_of_marks_bounds_the_scale_unless_something_better_is_known() {
-        let mark = |side: f64| Candidate {
-            centre: PixelPoint { x: 0.0, y: 0.0 },
-            covariance_px2: None,
-            score: None,
-            area_px: None,
-            size_px: Some([side, side / 2.0]),
-            elevation_m: None,
-            code: None,
-            paint: None,
-        };
+        let mark =
+            |side: f64| Candidate { size_px: Some([side, side / 2.0]), ..Candidate::at(PixelPoint { x: 0.0, y: 0.0 }) };
         let marks = [mark(10.0), mark(20.0), mark(500.0)];
         let bounded = Priors::default().with_mark_sizes(&marks);
         assert_eq!(bounded.gsd_m_per_px, Some((0.0005, 0.5)));

@@ -302,16 +302,7 @@ mod tests {
 
     #[test]
     fn the_strongest_stay_in_their_order() {
-        let candidate = |score: f64| Candidate {
-            centre: PixelPoint { x: score, y: 0.0 },
-            covariance_px2: None,
-            score: Some(score),
-            area_px: None,
-            size_px: None,
-            elevation_m: None,
-            code: None,
-            paint: None,
-        };
+        let candidate = |score: f64| Candidate { score: Some(score), ..Candidate::at(PixelPoint { x: score, y: 0.0 }) };
         // 0, 1, …, 6, 0, 1, … : ties at the cut, early and late.
         let mut all: Vec<Candidate> = (0..700).map(|i| candidate(f64::from(i % 7))).collect();
         keep_strongest(&mut all, 150);

@@ -31,7 +31,7 @@ pub struct Region {
 
 impl Region {
     /// A single run of pixels, columns `start..end` of row `y`.
-    fn of_run(start: u64, end: u64, y: u64) -> Self {
+    pub(crate) fn of_run(start: u64, end: u64, y: u64) -> Self {
         let n = end - start;
         let (n128, y128) = (u128::from(n), u128::from(y));
         let sum_x = u128::from(start + end - 1) * n128 / 2;

@@ -48,17 +48,13 @@ impl Detector for RedPaint {
         // Depends on every pixel of the patch, so that a patch cut differently shows.
         let ring: f64 = patch.rgb.iter().enumerate().map(|(i, p)| (i % 31) as f64 * f64::from(p[1])).sum();
         Some(Candidate {
-            centre: PixelPoint {
-                x: region.sum_x as f64 / region.area as f64 + 0.5,
-                y: region.sum_y as f64 / region.area as f64 + 0.5,
-            },
-            covariance_px2: None,
             score: Some(ring / patch.rgb.len() as f64),
             area_px: Some(region.area as f64),
             size_px: Some([region.bounds.width as f64, region.bounds.height as f64]),
-            elevation_m: None,
-            code: None,
-            paint: None,
+            ..Candidate::at(PixelPoint {
+                x: region.sum_x as f64 / region.area as f64 + 0.5,
+                y: region.sum_y as f64 / region.area as f64 + 0.5,
+            })
         })
     }
 }
