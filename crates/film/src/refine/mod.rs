@@ -323,7 +323,8 @@ impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
         }
         let (centre, inverse) = settled?;
         let variance = fit.sigma() * fit.sigma();
-        let covariance_px2 = [(M, M), (M, M + 1), (M + 1, M + 1)].map(|at| inverse[at] * variance);
+        let mut covariance_px2 = [(M, M), (M, M + 1), (M + 1, M + 1)].map(|at| inverse[at] * variance);
+        covariance_px2.iter_mut().zip(fit.disagreement(&inverse)).for_each(|(v, apart)| *v += apart);
         let refined =
             Refined { centre, covariance_px2, contrast: fit.contrast(), sigma: fit.sigma(), misfit: fit.misfit().0 };
         covariance_px2.iter().all(|v| v.is_finite()).then_some(refined)
@@ -444,6 +445,26 @@ mod tests {
             let found = refiner.refine(&grey, start, |_| 0.0).expect("settles");
             let off = (found.centre.x - centre.x).hypot(found.centre.y - centre.y);
             assert!(off < 0.04 && sigmas(&found, centre) < 3.0, "{diameter_mm} mm: {off} px off, {found:?}");
+        }
+    }
+
+    /// What a scratch over its rim takes of a dot is in what is said of its centre; without one little is.
+    #[test]
+    fn scratches_over_a_dot_are_in_its_covariance() {
+        let linear = [33.3, 0.3, 0.3, -33.3];
+        let refiner = Refiner::new(&dot(0.3), linear, 0.4).expect("a turn");
+        let centre = PixelPoint { x: 45.3, y: 44.8 };
+        let unspoilt = scanned(&dot(0.3), linear, centre);
+        let clean = refiner.refine(&unspoilt, centre, |_| 0.0).expect("settles");
+        for (column, value) in [(41, 0.7), (42, 0.1), (47, 0.1), (49, 0.7), (48, 0.1)] {
+            let mut grey = unspoilt.clone();
+            let width = grey.width;
+            grey.data.chunks_exact_mut(width).for_each(|row| row[column..column + 2].fill(value));
+            crate::window::blur(&mut grey.data, width, width, 0.7);
+            let found = refiner.refine(&grey, centre, |_| 0.0).expect("settles");
+            let sigma_px = |r: &Refined| r.covariance_px2[0].max(r.covariance_px2[2]).sqrt();
+            assert!(sigmas(&found, centre) < 3.5, "column {column}: {found:?}");
+            assert!(sigma_px(&found) > 0.04 && sigma_px(&clean) < 0.04, "column {column}: {found:?}, {clean:?}");
         }
     }
 
