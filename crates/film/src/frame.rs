@@ -6,6 +6,7 @@ use std::time::Instant;
 use super::constellation::{Assembly, assemble, assemble_stretched, chance};
 use super::interior::{Pose, distance};
 use super::negative::Negative;
+use super::own_white::OwnWhite;
 use super::resolution::Resolution;
 use super::scan::open_scan;
 use super::search::{GOOD_SCORE, Peak, search};
@@ -171,25 +172,43 @@ impl Finder {
         if options.method == Method::Thesis2017 {
             self.find_as_in_2017(source, options, &mut result)?;
         } else {
-            let stated = Resolution::of_file(&info.path);
-            let positive = self.look(source, options, stated, result.clone())?;
-            // Specks and letters make up frames in the wrong tones, though hardly of the right size.
-            result = if positive.is_ok() && marks_seen(&positive) == self.film.len() {
-                positive
-            } else {
-                let mut negative = self.look(&Negative(source), options, stated, result)?;
-                negative.notes.push("the marks are dark on bright: a negative".into());
-                let (bright, dark) = (marks_seen(&positive), marks_seen(&negative));
-                let reversed = match (positive.is_ok(), negative.is_ok()) {
-                    (true, false) => false,
-                    (false, true) => dark >= bright,
-                    _ => dark > bright,
-                };
-                if negative.interior.is_some() && dark > 2 && reversed { negative } else { positive }
-            };
+            let empty = result.clone();
+            result = self.look_in_both_tones(source, options, result)?;
+            // To find the largest value all pixels are read: of frames only that are not OK without it.
+            if !result.is_ok()
+                && let Some(scan) = OwnWhite::of(source)?
+            {
+                result = self.look_in_both_tones(&scan, options, empty)?;
+                let white = scan.white();
+                result.notes.push(format!("the scan's values end at {white} of 16 bits, which is taken for white"));
+            }
         }
         result.elapsed_s = started.elapsed().as_secs_f64();
         Ok(result)
+    }
+
+    /// As the scan is, and where not all marks are seen with its tones reversed.
+    fn look_in_both_tones(
+        &self,
+        source: &dyn RasterSource,
+        options: &FindOptions,
+        empty: FrameResult,
+    ) -> Result<FrameResult> {
+        let stated = Resolution::of_file(&source.info().path);
+        let positive = self.look(source, options, stated, empty.clone())?;
+        // Specks and letters make up frames in the wrong tones, though hardly of the right size.
+        if positive.is_ok() && marks_seen(&positive) == self.film.len() {
+            return Ok(positive);
+        }
+        let mut negative = self.look(&Negative(source), options, stated, empty)?;
+        negative.notes.push("the marks are dark on bright: a negative".into());
+        let (bright, dark) = (marks_seen(&positive), marks_seen(&negative));
+        let reversed = match (positive.is_ok(), negative.is_ok()) {
+            (true, false) => false,
+            (false, true) => dark >= bright,
+            _ => dark > bright,
+        };
+        Ok(if negative.interior.is_some() && dark > 2 && reversed { negative } else { positive })
     }
 
     /// As the scan is, bright marks on dark.
