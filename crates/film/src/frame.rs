@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use super::constellation::{Assembly, assemble, assemble_stretched, chance};
-use super::interior::{Pose, distance};
+use super::interior::{MOST_STRETCH, Pose, SURE_STRETCH, Stretch, distance};
 use super::negative::Negative;
 use super::own_white::OwnWhite;
 use super::resolution::Resolution;
@@ -254,6 +254,25 @@ impl Finder {
         if (by_short / by_long - 1.0).abs() < 0.02 { vec![0.5 * (by_short + by_long)] } else { vec![by_short, by_long] }
     }
 
+    /// Sizes of a pixel to try, each with how far the axes differ in scale: first what the file states.
+    fn scales(
+        &self,
+        source: &dyn RasterSource,
+        options: &FindOptions,
+        stated: Option<Resolution>,
+    ) -> Vec<(f64, Stretch)> {
+        let sizes_um = self.pixel_sizes_um(source, options);
+        let mut scales: Vec<(f64, Stretch)> = sizes_um.iter().map(|um| (*um, Stretch::NONE)).collect();
+        let Some(resolution) = stated.filter(|_| options.pixel_um.is_none()) else { return scales };
+        let (um, stretch) = (resolution.pixel_um(), resolution.stretch());
+        let uneven = (SURE_STRETCH..MOST_STRETCH).contains(&stretch.0.abs());
+        let new = uneven || sizes_um.iter().all(|s| (um / s).ln().abs() > 0.02);
+        if new && (um / sizes_um[0]).ln().abs() < 0.3 {
+            scales.insert(0, (um, if uneven { stretch } else { Stretch::NONE }));
+        }
+        scales
+    }
+
     fn assembly(
         &self,
         source: &dyn RasterSource,
@@ -264,31 +283,31 @@ impl Finder {
         let middle = PixelPoint { x: 0.5 * info.width as f64, y: 0.5 * info.height as f64 };
         let wanted = self.film.len().min(3);
         let all_ways = self.orientations(options);
-        let mut sizes_um = self.pixel_sizes_um(source, options);
-        let new = |um: &f64| sizes_um.iter().all(|s| (um / s).ln().abs() > 0.02) && (um / sizes_um[0]).ln().abs() < 0.3;
-        if let Some(um) = stated.map(Resolution::pixel_um).filter(|_| options.pixel_um.is_none()).filter(new) {
-            sizes_um.insert(0, um);
-        }
+        let sizes = self.scales(source, options, stated);
         let mut best: Option<Assembly> = None;
         // Of all boxes.
         let mut ways: Vec<Lie> = vec![];
         let rank = |best: Option<Assembly>, ways: &[Lie]| best.map(|b| Assembly { rivals: rivals(&b, ways), ..b });
         for growth in GROWTH {
-            for &pixel_um in &sizes_um {
+            for &(pixel_um, stretch) in &sizes {
                 let half_px = 0.5 * options.box_share * growth * info.width.max(info.height) as f64;
                 let (mut slots, mut sketches): (Vec<Slot>, _) = (vec![], Sketches::default());
                 for &(turn_deg, mirrored) in &all_ways {
-                    let assumed = Pose::about(self.centre, middle, 1e3 / pixel_um, turn_deg, mirrored);
+                    let even = Pose::about(self.centre, middle, 1e3 / pixel_um, turn_deg, mirrored);
+                    let assumed = even.stretched(self.centre, stretch);
                     let peaks = (0..self.film.len())
                         .map(|k| self.slot(source, &mut slots, &mut sketches, k, &assumed, half_px))
                         .collect::<Result<Vec<_>>>()?;
                     let found = assemble(&self.film, &peaks, &assumed);
+                    // A stated difference of scale is a prior: without it marks may agree better.
+                    let even = if stretch == Stretch::NONE { None } else { assemble(&self.film, &peaks, &even) };
+                    let found = even.filter(|e| found.as_ref().is_none_or(|f| e.score > f.score)).or(found);
                     let few = found.as_ref().is_none_or(|f| f.marks() < self.film.len());
                     let stretched = if few { assemble_stretched(&self.film, &peaks, &assumed) } else { None };
                     let more = |s: &Assembly| found.as_ref().is_none_or(|f| s.marks() > f.marks());
                     let Some(found) = stretched.filter(more).or(found) else { continue };
                     let mut chosen_only = keep_chosen(found, &peaks);
-                    chosen_only.chance = chance(&chosen_only, &peaks, half_px, all_ways.len());
+                    chosen_only.chance = chance(&chosen_only, &peaks, half_px, all_ways.len(), stretch);
                     ways.push(Lie::of((turn_deg, mirrored), &chosen_only, &peaks));
                     if best.as_ref().is_none_or(|b| chosen_only.score > b.score + 1e-9) {
                         best = Some(chosen_only);
@@ -448,6 +467,20 @@ mod tests {
 
     fn lie(turn_deg: f64, scores: [f64; 4]) -> Lie {
         Lie { way: (turn_deg, Handedness::AsIs), scores: scores.map(Some).to_vec(), score: scores.iter().sum() }
+    }
+
+    #[test]
+    fn what_the_file_says_of_the_axes_is_tried_first() {
+        let camera = crate::camera::load_camera("rmk-dot").expect("built in");
+        let finder = Finder::new(&camera).expect("a finder");
+        let scan = crate::window::GreySource::new(Path::new("a.tif"), 100, 100, vec![0; 10_000]);
+        let um = finder.pixel_sizes_um(&scan, &FindOptions::default())[0];
+        let first = |x: f64, y: f64| {
+            finder.scales(&scan, &FindOptions::default(), Some(Resolution([x * 25_400.0 / um, y * 25_400.0 / um])))[0]
+        };
+        assert!((first(1.0, 0.98).1.0 - (1.0f64 / 0.98).ln()).abs() < 1e-12);
+        assert_eq!(first(1.0, 1.0), (um, Stretch::NONE));
+        assert_eq!(first(1.0, 0.7).1, Stretch::NONE, "more than scanners differ by");
     }
 
     /// Marks that look the same when turned differ by what the coarse grid makes of them; those that do not, all do.
