@@ -240,6 +240,12 @@ impl Finder {
         mirrors.iter().flat_map(|m| turns.iter().map(move |t| (*t, *m))).collect()
     }
 
+    /// In how many ways a frame that was found in one of them may lie, as far as options and camera's file do not say.
+    /// Where marks do not tell, frames of an upright camera are taken as upright, so that those found so had one way.
+    fn open_ways(&self, way: (f64, Handedness), options: &FindOptions) -> usize {
+        if self.is_said_upright(way) { 1 } else { self.orientations(options).len() }
+    }
+
     /// Possible sizes of a pixel, micrometres, the likeliest first.
     pub(super) fn pixel_sizes_um(&self, source: &dyn RasterSource, options: &FindOptions) -> Vec<f64> {
         if let Some(size) = options.pixel_um {
@@ -307,7 +313,8 @@ impl Finder {
                     let more = |s: &Assembly| found.as_ref().is_none_or(|f| s.marks() > f.marks());
                     let Some(found) = stretched.filter(more).or(found) else { continue };
                     let mut chosen_only = keep_chosen(found, &peaks);
-                    chosen_only.chance = chance(&chosen_only, &peaks, half_px, all_ways.len(), stretch);
+                    let open = self.open_ways((turn_deg, mirrored), options);
+                    chosen_only.chance = chance(&chosen_only, &peaks, half_px, open, stretch);
                     ways.push(Lie::of((turn_deg, mirrored), &chosen_only, &peaks));
                     if best.as_ref().is_none_or(|b| chosen_only.score > b.score + 1e-9) {
                         best = Some(chosen_only);
@@ -467,6 +474,19 @@ mod tests {
 
     fn lie(turn_deg: f64, scores: [f64; 4]) -> Lie {
         Lie { way: (turn_deg, Handedness::AsIs), scores: scores.map(Some).to_vec(), score: scores.iter().sum() }
+    }
+
+    #[test]
+    fn frames_of_an_upright_camera_have_one_way_to_lie_where_they_are_found_so() {
+        let mut camera = crate::camera::load_camera("rmk-dot").expect("built in");
+        let open = |camera: &Camera, turn_deg: f64| {
+            let finder = Finder::new(camera).expect("a finder");
+            finder.open_ways((turn_deg, Handedness::AsIs), &FindOptions::default())
+        };
+        camera.upright = false;
+        assert_eq!(open(&camera, 0.0), 8);
+        camera.upright = true;
+        assert_eq!([open(&camera, 0.0), open(&camera, 90.0)], [1, 8]);
     }
 
     #[test]

@@ -56,10 +56,12 @@ impl Finder {
         let Some(interior) = &result.interior else { return };
         let mut said = Said::default();
         if assembly.chance > MOST_CHANCE {
+            let turned_deg = (interior.rotation_deg / 90.0).round().rem_euclid(4.0) * 90.0;
+            let is_open = !self.is_said_upright((turned_deg, interior.mirrored));
             let unsaid = [
                 (options.pixel_um.is_none(), "say --pixel-um"),
-                (options.turn_deg.is_none(), "say --turn"),
-                (options.mirrored.is_none(), "say --mirrored"),
+                (is_open && options.turn_deg.is_none(), "say --turn"),
+                (is_open && options.mirrored.is_none(), "say --mirrored"),
             ];
             // One alone may not suffice: each divides the number of places or of ways to lie.
             let ways = unsaid.into_iter().filter(|(open, _)| *open).map(|(_, way)| way);
