@@ -35,6 +35,8 @@ pub struct Refined {
     /// Share of the mark's pixels that do not fit the model plus share of those around it: scratches and dust have more
     /// room beside the mark, so that what is missing of it weighs more.
     pub misfit: f64,
+    /// How far all edges that fit lie further out than drawn, pixels.
+    swell_px: f64,
 }
 
 /// No centre moves further than this from where it starts, pixels.
@@ -72,6 +74,10 @@ const SOFT_SIGMA: f64 = 0.025;
 /// Of a dot of another size what is left over is less by this factor at least; specks and scratches leave as much with
 /// any.
 const CLEARLY_LESS: f64 = 0.85;
+/// A dot is as large as drawn where all edges fit, lie no further out or in than this, pixels, and agree about the
+/// centre: 1σ along an axis, pixels. A fit that holds one edge of a larger dot takes it for as large as drawn.
+const AS_LARGE_PX: f64 = 0.1;
+const AGREE_PX: f64 = 0.02;
 /// Rounds by which levels and weights are settled at a place that is given.
 const LEVEL_ROUNDS: usize = 3;
 
@@ -174,7 +180,9 @@ impl Refiner {
     /// or smaller evenly. Of a dot drawn too small a fit that gives edges that are off no weight holds one side. What
     /// does not fit the mark as the file has it still counts as its misfit.
     fn sized(&self, grey: &Grey, found: Refined) -> Refined {
-        let Some(sizes) = &self.sizes else { return found };
+        let apart = |axis: usize| found.covariance_px2[axis] > AGREE_PX * AGREE_PX;
+        let is_other = found.misfit >= DAMAGED || found.swell_px.abs() > AS_LARGE_PX || apart(0) || apart(2);
+        let Some(sizes) = self.sizes.as_ref().filter(|_| is_other) else { return found };
         let as_drawn = self.left_over(&self.surface, grey, found.centre);
         let (mut best, mut least) = (found, as_drawn);
         for way in [Sizes::larger, Sizes::smaller] {
@@ -325,8 +333,14 @@ impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
         let variance = fit.sigma() * fit.sigma();
         let mut covariance_px2 = [(M, M), (M, M + 1), (M + 1, M + 1)].map(|at| inverse[at] * variance);
         covariance_px2.iter_mut().zip(fit.disagreement(&inverse)).for_each(|(v, apart)| *v += apart);
-        let refined =
-            Refined { centre, covariance_px2, contrast: fit.contrast(), sigma: fit.sigma(), misfit: fit.misfit().0 };
+        let refined = Refined {
+            centre,
+            covariance_px2,
+            contrast: fit.contrast(),
+            sigma: fit.sigma(),
+            misfit: fit.misfit().0,
+            swell_px: f64::from(fit.swell_px()),
+        };
         covariance_px2.iter().all(|v| v.is_finite()).then_some(refined)
     }
 }

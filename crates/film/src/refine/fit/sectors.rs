@@ -21,7 +21,7 @@ impl<const N: usize, const M: usize> Fit<N, M> {
     /// last round, whose normal equations have this inverse.
     pub fn disagreement(&self, inverse: &DMatrix<f64>) -> [f64; 3] {
         let scale = Scale::of(self.sigma, self.unlike);
-        let swell = self.swell(scale);
+        let swell = self.swell_px();
         let mut pulls = [[0.0f64; 2]; SECTORS];
         for k in 0..self.shaped.grey.len() {
             let part = self.shaped.part::<1>(k);
@@ -44,7 +44,8 @@ impl<const N: usize, const M: usize> Fit<N, M> {
     }
 
     /// How far all edges lie further out than drawn, pixels: marks that are evenly wider pull to no side.
-    fn swell(&self, scale: Scale) -> f32 {
+    pub fn swell_px(&self) -> f32 {
+        let scale = Scale::of(self.sigma, self.unlike);
         let (mut sum, mut weight) = (0.0f32, 0.0f32);
         for k in 0..self.shaped.grey.len() {
             let part = self.shaped.part::<1>(k);
