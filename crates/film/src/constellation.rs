@@ -5,7 +5,7 @@
 //! corner marks lie nearly symmetrically, and only how far a camera's calibrated positions are from symmetric tells its
 //! turns apart.
 
-use super::interior::{Pose, Stretch, distance, fit_own_stretch, fit_pose, fit_stretched, refit, rms_px};
+use super::interior::{Pose, SURE_STRETCH, Stretch, distance, fit_own_stretch, fit_pose, fit_stretched, refit, rms_px};
 use super::search::Peak;
 use autoref_raster::coords::{Handedness, PixelPoint};
 
@@ -39,9 +39,9 @@ impl Assembly {
 /// Number of assemblies of as many marks that peaks as good as the chosen ones, strewn over their boxes, would make by
 /// chance: as many tries as the boxes have such peaks, and for each the share of its box in which the marks that do not
 /// determine the pose would be taken for right (D. Lowe, "Three-dimensional object recognition from single
-/// two-dimensional images", Artificial Intelligence, 1987, counts alike). `ways` is how many ways of lying were tried,
-/// `half_px` half the side of a box.
-pub fn chance(assembly: &Assembly, peaks: &[Vec<Peak>], half_px: f64, ways: usize) -> f64 {
+/// two-dimensional images", Artificial Intelligence, 1987, counts alike). `ways` is how many ways of lying were open,
+/// `half_px` half the side of a box, `stated` how far the axes differ in scale by the scan's file.
+pub fn chance(assembly: &Assembly, peaks: &[Vec<Peak>], half_px: f64, ways: usize, stated: Stretch) -> f64 {
     let tries: f64 = assembly
         .chosen
         .iter()
@@ -54,7 +54,8 @@ pub fn chance(assembly: &Assembly, peaks: &[Vec<Peak>], half_px: f64, ways: usiz
     let unit = assembly.pose.px_per_mm();
     let within = std::f64::consts::PI * (REACH_MM * unit / (2.0 * half_px)).powi(2);
     let free = assembly.marks() as i32 - 2;
-    let checks = if assembly.pose.stretch == Stretch::NONE {
+    let is_free = (assembly.pose.stretch.0 - stated.0).abs() > SURE_STRETCH;
+    let checks = if assembly.pose.stretch == Stretch::NONE || !is_free {
         within.powi(free)
     } else {
         // The third mark lies in a strip that shear narrows and stretch does not.
@@ -76,9 +77,8 @@ pub fn assemble(film: &[[f64; 2]], peaks: &[Vec<Peak>], assumed: &Pose) -> Optio
         for b in a + 1..film.len() {
             for p in &peaks[a] {
                 for q in &peaks[b] {
-                    let Some(pose) = fit_pose(&[(film[a], p.centre), (film[b], q.centre)], assumed.mirrored) else {
-                        continue;
-                    };
+                    let two = [(film[a], p.centre), (film[b], q.centre)];
+                    let Some(pose) = fit_stretched(&two, assumed.mirrored, assumed.stretch) else { continue };
                     if !is_near(&pose, assumed) {
                         continue;
                     }
@@ -241,6 +241,27 @@ fn robust_rms(points: &[([f64; 2], PixelPoint)], mirrored: Handedness, stretch: 
 mod tests {
     use super::*;
     use crate::camera::load_camera;
+
+    /// Specks lie where two marks put the others if the axes are taken for alike.
+    #[test]
+    fn marks_of_a_scan_with_stated_axes_are_told_from_specks_that_fit_without() {
+        let film = [[27.0, -27.0], [-27.0, -27.1], [-27.0, 27.0], [27.1, 27.0]];
+        let middle = PixelPoint { x: 1100.0, y: 1100.0 };
+        let even = Pose::about([0.0, 0.0], middle, 33.0, 0.3, Handedness::AsIs);
+        let stated = even.stretched([0.0, 0.0], Stretch(0.02));
+        let two = [0, 1].map(|k| (film[k], stated.apply(film[k])));
+        let alike = fit_pose(&two, Handedness::AsIs).expect("two places");
+        let peaks: Vec<Vec<Peak>> = (0..4)
+            .map(|k| {
+                let mark = Peak { centre: stated.apply(film[k]), score: 0.9 };
+                let speck = Peak { centre: alike.apply(film[k]), score: 0.8 };
+                if k < 2 { vec![mark] } else { vec![mark, speck] }
+            })
+            .collect();
+        let chosen = |assumed: &Pose| assemble(&film, &peaks, assumed).expect("some fit").chosen;
+        assert_eq!(chosen(&stated), [Some(0); 4]);
+        assert_eq!(chosen(&even), [Some(0), Some(0), Some(1), Some(1)], "the case that this is about");
+    }
 
     /// Places of a made frame turned by 270°, as they were measured. Turned by 180° three of its marks fit nearly as
     /// well as all four do in truth, and the fourth not at all.

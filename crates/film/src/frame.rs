@@ -4,8 +4,9 @@ use std::path::Path;
 use std::time::Instant;
 
 use super::constellation::{Assembly, assemble, assemble_stretched, chance};
-use super::interior::{Pose, distance};
+use super::interior::{MOST_STRETCH, Pose, SURE_STRETCH, Stretch, distance};
 use super::negative::Negative;
+use super::own_white::OwnWhite;
 use super::resolution::Resolution;
 use super::scan::open_scan;
 use super::search::{GOOD_SCORE, Peak, search};
@@ -171,25 +172,43 @@ impl Finder {
         if options.method == Method::Thesis2017 {
             self.find_as_in_2017(source, options, &mut result)?;
         } else {
-            let stated = Resolution::of_file(&info.path);
-            let positive = self.look(source, options, stated, result.clone())?;
-            // Specks and letters make up frames in the wrong tones, though hardly of the right size.
-            result = if positive.is_ok() && marks_seen(&positive) == self.film.len() {
-                positive
-            } else {
-                let mut negative = self.look(&Negative(source), options, stated, result)?;
-                negative.notes.push("the marks are dark on bright: a negative".into());
-                let (bright, dark) = (marks_seen(&positive), marks_seen(&negative));
-                let reversed = match (positive.is_ok(), negative.is_ok()) {
-                    (true, false) => false,
-                    (false, true) => dark >= bright,
-                    _ => dark > bright,
-                };
-                if negative.interior.is_some() && dark > 2 && reversed { negative } else { positive }
-            };
+            let empty = result.clone();
+            result = self.look_in_both_tones(source, options, result)?;
+            // To find the largest value all pixels are read: of frames only that are not OK without it.
+            if !result.is_ok()
+                && let Some(scan) = OwnWhite::of(source)?
+            {
+                result = self.look_in_both_tones(&scan, options, empty)?;
+                let white = scan.white();
+                result.notes.push(format!("the scan's values end at {white} of 16 bits, which is taken for white"));
+            }
         }
         result.elapsed_s = started.elapsed().as_secs_f64();
         Ok(result)
+    }
+
+    /// As the scan is, and where not all marks are seen with its tones reversed.
+    fn look_in_both_tones(
+        &self,
+        source: &dyn RasterSource,
+        options: &FindOptions,
+        empty: FrameResult,
+    ) -> Result<FrameResult> {
+        let stated = Resolution::of_file(&source.info().path);
+        let positive = self.look(source, options, stated, empty.clone())?;
+        // Specks and letters make up frames in the wrong tones, though hardly of the right size.
+        if positive.is_ok() && marks_seen(&positive) == self.film.len() {
+            return Ok(positive);
+        }
+        let mut negative = self.look(&Negative(source), options, stated, empty)?;
+        negative.notes.push("the marks are dark on bright: a negative".into());
+        let (bright, dark) = (marks_seen(&positive), marks_seen(&negative));
+        let reversed = match (positive.is_ok(), negative.is_ok()) {
+            (true, false) => false,
+            (false, true) => dark >= bright,
+            _ => dark > bright,
+        };
+        Ok(if negative.interior.is_some() && dark > 2 && reversed { negative } else { positive })
     }
 
     /// As the scan is, bright marks on dark.
@@ -221,6 +240,12 @@ impl Finder {
         mirrors.iter().flat_map(|m| turns.iter().map(move |t| (*t, *m))).collect()
     }
 
+    /// In how many ways a frame that was found in one of them may lie, as far as options and camera's file do not say.
+    /// Where marks do not tell, frames of an upright camera are taken as upright, so that those found so had one way.
+    fn open_ways(&self, way: (f64, Handedness), options: &FindOptions) -> usize {
+        if self.is_said_upright(way) { 1 } else { self.orientations(options).len() }
+    }
+
     /// Possible sizes of a pixel, micrometres, the likeliest first.
     pub(super) fn pixel_sizes_um(&self, source: &dyn RasterSource, options: &FindOptions) -> Vec<f64> {
         if let Some(size) = options.pixel_um {
@@ -235,6 +260,25 @@ impl Finder {
         if (by_short / by_long - 1.0).abs() < 0.02 { vec![0.5 * (by_short + by_long)] } else { vec![by_short, by_long] }
     }
 
+    /// Sizes of a pixel to try, each with how far the axes differ in scale: first what the file states.
+    fn scales(
+        &self,
+        source: &dyn RasterSource,
+        options: &FindOptions,
+        stated: Option<Resolution>,
+    ) -> Vec<(f64, Stretch)> {
+        let sizes_um = self.pixel_sizes_um(source, options);
+        let mut scales: Vec<(f64, Stretch)> = sizes_um.iter().map(|um| (*um, Stretch::NONE)).collect();
+        let Some(resolution) = stated.filter(|_| options.pixel_um.is_none()) else { return scales };
+        let (um, stretch) = (resolution.pixel_um(), resolution.stretch());
+        let uneven = (SURE_STRETCH..MOST_STRETCH).contains(&stretch.0.abs());
+        let new = uneven || sizes_um.iter().all(|s| (um / s).ln().abs() > 0.02);
+        if new && (um / sizes_um[0]).ln().abs() < 0.3 {
+            scales.insert(0, (um, if uneven { stretch } else { Stretch::NONE }));
+        }
+        scales
+    }
+
     fn assembly(
         &self,
         source: &dyn RasterSource,
@@ -245,31 +289,32 @@ impl Finder {
         let middle = PixelPoint { x: 0.5 * info.width as f64, y: 0.5 * info.height as f64 };
         let wanted = self.film.len().min(3);
         let all_ways = self.orientations(options);
-        let mut sizes_um = self.pixel_sizes_um(source, options);
-        let new = |um: &f64| sizes_um.iter().all(|s| (um / s).ln().abs() > 0.02) && (um / sizes_um[0]).ln().abs() < 0.3;
-        if let Some(um) = stated.map(Resolution::pixel_um).filter(|_| options.pixel_um.is_none()).filter(new) {
-            sizes_um.insert(0, um);
-        }
+        let sizes = self.scales(source, options, stated);
         let mut best: Option<Assembly> = None;
         // Of all boxes.
         let mut ways: Vec<Lie> = vec![];
         let rank = |best: Option<Assembly>, ways: &[Lie]| best.map(|b| Assembly { rivals: rivals(&b, ways), ..b });
         for growth in GROWTH {
-            for &pixel_um in &sizes_um {
+            for &(pixel_um, stretch) in &sizes {
                 let half_px = 0.5 * options.box_share * growth * info.width.max(info.height) as f64;
                 let (mut slots, mut sketches): (Vec<Slot>, _) = (vec![], Sketches::default());
                 for &(turn_deg, mirrored) in &all_ways {
-                    let assumed = Pose::about(self.centre, middle, 1e3 / pixel_um, turn_deg, mirrored);
+                    let even = Pose::about(self.centre, middle, 1e3 / pixel_um, turn_deg, mirrored);
+                    let assumed = even.stretched(self.centre, stretch);
                     let peaks = (0..self.film.len())
                         .map(|k| self.slot(source, &mut slots, &mut sketches, k, &assumed, half_px))
                         .collect::<Result<Vec<_>>>()?;
                     let found = assemble(&self.film, &peaks, &assumed);
+                    // A stated difference of scale is a prior: without it marks may agree better.
+                    let even = if stretch == Stretch::NONE { None } else { assemble(&self.film, &peaks, &even) };
+                    let found = even.filter(|e| found.as_ref().is_none_or(|f| e.score > f.score)).or(found);
                     let few = found.as_ref().is_none_or(|f| f.marks() < self.film.len());
                     let stretched = if few { assemble_stretched(&self.film, &peaks, &assumed) } else { None };
                     let more = |s: &Assembly| found.as_ref().is_none_or(|f| s.marks() > f.marks());
                     let Some(found) = stretched.filter(more).or(found) else { continue };
                     let mut chosen_only = keep_chosen(found, &peaks);
-                    chosen_only.chance = chance(&chosen_only, &peaks, half_px, all_ways.len());
+                    let open = self.open_ways((turn_deg, mirrored), options);
+                    chosen_only.chance = chance(&chosen_only, &peaks, half_px, open, stretch);
                     ways.push(Lie::of((turn_deg, mirrored), &chosen_only, &peaks));
                     if best.as_ref().is_none_or(|b| chosen_only.score > b.score + 1e-9) {
                         best = Some(chosen_only);
@@ -429,6 +474,33 @@ mod tests {
 
     fn lie(turn_deg: f64, scores: [f64; 4]) -> Lie {
         Lie { way: (turn_deg, Handedness::AsIs), scores: scores.map(Some).to_vec(), score: scores.iter().sum() }
+    }
+
+    #[test]
+    fn frames_of_an_upright_camera_have_one_way_to_lie_where_they_are_found_so() {
+        let mut camera = crate::camera::load_camera("rmk-dot").expect("built in");
+        let open = |camera: &Camera, turn_deg: f64| {
+            let finder = Finder::new(camera).expect("a finder");
+            finder.open_ways((turn_deg, Handedness::AsIs), &FindOptions::default())
+        };
+        camera.upright = false;
+        assert_eq!(open(&camera, 0.0), 8);
+        camera.upright = true;
+        assert_eq!([open(&camera, 0.0), open(&camera, 90.0)], [1, 8]);
+    }
+
+    #[test]
+    fn what_the_file_says_of_the_axes_is_tried_first() {
+        let camera = crate::camera::load_camera("rmk-dot").expect("built in");
+        let finder = Finder::new(&camera).expect("a finder");
+        let scan = crate::window::GreySource::new(Path::new("a.tif"), 100, 100, vec![0; 10_000]);
+        let um = finder.pixel_sizes_um(&scan, &FindOptions::default())[0];
+        let first = |x: f64, y: f64| {
+            finder.scales(&scan, &FindOptions::default(), Some(Resolution([x * 25_400.0 / um, y * 25_400.0 / um])))[0]
+        };
+        assert!((first(1.0, 0.98).1.0 - (1.0f64 / 0.98).ln()).abs() < 1e-12);
+        assert_eq!(first(1.0, 1.0), (um, Stretch::NONE));
+        assert_eq!(first(1.0, 0.7).1, Stretch::NONE, "more than scanners differ by");
     }
 
     /// Marks that look the same when turned differ by what the coarse grid makes of them; those that do not, all do.

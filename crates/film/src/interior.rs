@@ -53,6 +53,17 @@ impl Pose {
         Pose { linear, offset, mirrored, stretch: Stretch::NONE }
     }
 
+    /// The same with the axes' scales apart by so much, the film's `centre_mm` where it was.
+    pub(super) fn stretched(self, centre_mm: [f64; 2], stretch: Stretch) -> Pose {
+        let at = self.apply(centre_mm);
+        let by = (0.5 * stretch.0).exp();
+        let [a, b, c, d] = self.linear;
+        let linear = [by * a, by * b, c / by, d / by];
+        let [x, y] = centre_mm;
+        let offset = [at.x - linear[0] * x - linear[1] * y, at.y - linear[2] * x - linear[3] * y];
+        Pose { linear, offset, stretch, ..self }
+    }
+
     /// Film (millimetres, y down) → scan (pixels).
     pub fn apply(&self, mm: [f64; 2]) -> PixelPoint {
         let l = &self.linear;
@@ -127,7 +138,7 @@ pub fn refit(points: &[([f64; 2], PixelPoint)], pose: &Pose) -> Option<Pose> {
 }
 
 /// Film shrinks by up to a tenth of a per cent without its scanner being wrong.
-const SURE_STRETCH: f64 = 0.003;
+pub(super) const SURE_STRETCH: f64 = 0.003;
 /// Difference of scale between a scan's axes that is taken for a scanner's, as a logarithm: scans in archives reach
 /// 0.023.
 pub const MOST_STRETCH: f64 = 0.035;

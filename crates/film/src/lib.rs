@@ -25,6 +25,7 @@ pub mod learn;
 pub mod micmac;
 mod naming;
 mod negative;
+mod own_white;
 pub mod picture;
 mod plausible;
 pub mod refine;

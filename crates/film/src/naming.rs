@@ -60,8 +60,13 @@ impl Named {
 }
 
 impl Finder {
+    /// Whether the camera's file says of its scans that they lie so.
+    pub(super) fn is_said_upright(&self, way: Way) -> bool {
+        self.camera.upright && way == UPRIGHT
+    }
+
     fn taken_by(&self, way: Way) -> TakenBy {
-        if self.camera.upright && way == UPRIGHT { TakenBy::Camera } else { TakenBy::Chance }
+        if self.is_said_upright(way) { TakenBy::Camera } else { TakenBy::Chance }
     }
 
     /// Whether all marks are their own mirror images.

@@ -56,10 +56,12 @@ impl Finder {
         let Some(interior) = &result.interior else { return };
         let mut said = Said::default();
         if assembly.chance > MOST_CHANCE {
+            let turned_deg = (interior.rotation_deg / 90.0).round().rem_euclid(4.0) * 90.0;
+            let is_open = !self.is_said_upright((turned_deg, interior.mirrored));
             let unsaid = [
                 (options.pixel_um.is_none(), "say --pixel-um"),
-                (options.turn_deg.is_none(), "say --turn"),
-                (options.mirrored.is_none(), "say --mirrored"),
+                (is_open && options.turn_deg.is_none(), "say --turn"),
+                (is_open && options.mirrored.is_none(), "say --mirrored"),
             ];
             // One alone may not suffice: each divides the number of places or of ways to lie.
             let ways = unsaid.into_iter().filter(|(open, _)| *open).map(|(_, way)| way);
@@ -89,15 +91,20 @@ impl Finder {
         let turned = (interior.rotation_deg / 90.0).round() as i64 % 2 != 0;
         let [w, h] = self.camera.film_size_mm;
         let film = if turned { [h, w] } else { [w, h] };
+        // Film that lies aslant takes more room; a scan may show all of that, or be cut to the film's size.
+        let aslant_deg = interior.rotation_deg - 90.0 * (interior.rotation_deg / 90.0).round();
+        let (s, c) = aslant_deg.abs().to_radians().sin_cos();
+        let room = [film[0] * c + film[1] * s, film[1] * c + film[0] * s];
         let [px, py] = interior.pixel_xy_um;
         let shown = [width * px / 1e3, height * py / 1e3];
-        let whole = |k: usize| (-CUT_MM..GLASS_MM).contains(&(shown[k] - film[k]));
+        let whole = |k: usize| (film[k] - CUT_MM..room[k] + GLASS_MM).contains(&shown[k]);
+        let hardly = |k: usize| (SHOWN.start * film[k]..SHOWN.end * room[k]).contains(&shown[k]);
         let says = format!(
             "by the marks the scan shows {:.1} x {:.1} mm, the camera's film is {:.0} x {:.0} mm",
             shown[0], shown[1], film[0], film[1]
         );
         let pixel_um = interior.pixel_um;
-        if !(0..2).all(|k| SHOWN.contains(&(shown[k] / film[k]))) {
+        if !(0..2).all(hardly) {
             return Some(format!("{says}: if that is right, say --pixel-um {pixel_um:.1}"));
         }
         (!(0..2).any(whole)).then(|| {
@@ -216,6 +223,37 @@ mod tests {
             body: None,
             reason: None,
         })
+    }
+
+    /// Film that lies aslant takes more room in its scan, however its marks are turned.
+    #[test]
+    fn film_that_lies_aslant_shows_its_own_size() {
+        let finder = Finder::new(&load_camera("rmk-dot").expect("built in")).expect("a finder");
+        let side_mm = finder.camera.film_size_mm[0];
+        let doubted = |rotation_deg: f64, shown_mm: f64| {
+            let interior = InteriorOrientation {
+                model: InteriorModel::Similarity,
+                pixel_to_mm: [0.05, 0.0, 0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0],
+                rmse_um: 1.0,
+                sigma0_um: None,
+                covariance: vec![],
+                marks: vec![],
+                leave_one_out_um: vec![],
+                leave_one_out_rmse_um: None,
+                pixel_um: 50.0,
+                pixel_xy_um: [50.0; 2],
+                rotation_deg,
+                mirrored: Handedness::AsIs,
+            };
+            finder.doubt_of_size(&interior, [shown_mm * 20.0; 2]).is_some()
+        };
+        let room = |deg: f64| side_mm * (deg.to_radians().cos() + deg.to_radians().sin());
+        for deg in [3.0, 5.0, 7.0] {
+            assert!(!doubted(deg, room(deg) + 4.0) && !doubted(90.0 - deg, room(deg) + 4.0), "turned by {deg}");
+            assert!(!doubted(deg, side_mm), "cut to the film's size");
+            assert!(doubted(deg, room(deg) + 12.0), "too large");
+        }
+        assert!(doubted(0.0, room(5.0) + 4.0) && doubted(5.0, side_mm - 4.0));
     }
 
     /// A speck in front of one mark, or lengths that are a fifth off, are no other camera's marks.

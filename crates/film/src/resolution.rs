@@ -4,6 +4,8 @@
 use std::io::Read;
 use std::path::Path;
 
+use super::interior::Stretch;
+
 /// Resolutions that programs write without knowing, pixels per inch.
 const WRITTEN_UNKNOWN: [f64; 6] = [72.0, 96.0, 100.0, 150.0, 200.0, 300.0];
 const INCH_UM: f64 = 25_400.0;
@@ -31,6 +33,11 @@ impl Resolution {
     /// Size of a pixel, micrometres: the geometric mean of the axes.
     pub fn pixel_um(self) -> f64 {
         INCH_UM / (self.0[0] * self.0[1]).sqrt()
+    }
+
+    /// How far the axes differ in scale.
+    pub(super) fn stretch(self) -> Stretch {
+        Stretch((self.0[0] / self.0[1]).ln())
     }
 
     /// Whether programs write this without knowing.

@@ -3,6 +3,8 @@
 //!
 //! Single precision carries grey values and sums of a thousand pixels; what is solved is summed in double precision.
 
+mod sectors;
+
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};

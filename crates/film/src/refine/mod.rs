@@ -7,12 +7,14 @@
 
 mod drawing;
 mod fit;
+mod sizes;
 mod spread;
 mod surface;
 
 use std::cell::OnceCell;
 
 use self::fit::Fit;
+use self::sizes::Sizes;
 use self::surface::{SHARP_PX, Surface};
 use super::template::{Linear, Model};
 use super::types::MarkKind;
@@ -33,6 +35,8 @@ pub struct Refined {
     /// Share of the mark's pixels that do not fit the model plus share of those around it: scratches and dust have more
     /// room beside the mark, so that what is missing of it weighs more.
     pub misfit: f64,
+    /// How far all edges that fit lie further out than drawn, pixels.
+    swell_px: f64,
 }
 
 /// No centre moves further than this from where it starts, pixels.
@@ -67,6 +71,13 @@ const SOFTER_PX: [f64; 5] = [1.0, 1.4, 2.0, 2.8, 4.0];
 /// 1σ of a centre along one axis for each pixel of blur beyond that of a good scan: what lies beside the mark shines
 /// into it. Marks of a real frame that was blurred by 3 and by 4 px lay 0.02 to 0.28 px beside their place.
 const SOFT_SIGMA: f64 = 0.025;
+/// Of a dot of another size what is left over is less by this factor at least; specks and scratches leave as much with
+/// any.
+const CLEARLY_LESS: f64 = 0.85;
+/// A dot is as large as drawn where all edges fit, lie no further out or in than this, pixels, and agree about the
+/// centre: 1σ along an axis, pixels. A fit that holds one edge of a larger dot takes it for as large as drawn.
+const AS_LARGE_PX: f64 = 0.1;
+const AGREE_PX: f64 = 0.02;
 /// Rounds by which levels and weights are settled at a place that is given.
 const LEVEL_ROUNDS: usize = 3;
 
@@ -76,6 +87,8 @@ pub struct Refiner {
     /// The same for softer scans, of crosses: others have no second edge beside the first, and how soft a small dot or
     /// hole is cannot be told from how large it is. `None` for a learned mark, which has the edges that the scans have.
     softer: Option<Softer>,
+    /// The same with dots and their rings larger and smaller.
+    sizes: Option<Sizes>,
     unlike: f32,
     slopes: bool,
     /// For marks of lines, how far around a start is tried where the mark is damaged.
@@ -94,6 +107,7 @@ impl Refiner {
         Some(Refiner {
             surface: Surface::new(model, linear, radius_mm, SHARP_PX)?,
             softer: has_lines(model).then(|| Softer::of(model, linear, radius_mm)),
+            sizes: Sizes::of(model, linear, radius_mm),
             unlike: if model.is_drawn() { 0.0 } else { UNLIKE },
             slopes: model.is_drawn() && model.shows_image(),
             around_px: model.sectors_deg().map(|_| AROUND_PX.max(model.detail_mm() * px_per_mm)),
@@ -104,7 +118,7 @@ impl Refiner {
     /// walks away. Of several places that a damaged mark of lines may settle at, `doubt` adds to the misfit of each.
     pub fn refine(&self, grey: &Grey, start: PixelPoint, doubt: impl Fn(PixelPoint) -> f64) -> Option<Refined> {
         let found = self.refine_sharp(grey, start, doubt)?;
-        Some(self.softened(grey, found))
+        Some(self.sized(grey, self.softened(grey, found)))
     }
 
     fn refine_sharp(&self, grey: &Grey, start: PixelPoint, doubt: impl Fn(PixelPoint) -> f64) -> Option<Refined> {
@@ -160,6 +174,32 @@ impl Refiner {
             (best, least) = (other, self.left_over(surface, grey, other.centre));
         }
         best
+    }
+
+    /// The same with a dot as large as the scan shows it: exposure, a burnt-out scan or the camera's file make it larger
+    /// or smaller evenly. Of a dot drawn too small a fit that gives edges that are off no weight holds one side. What
+    /// does not fit the mark as the file has it still counts as its misfit.
+    fn sized(&self, grey: &Grey, found: Refined) -> Refined {
+        let apart = |axis: usize| found.covariance_px2[axis] > AGREE_PX * AGREE_PX;
+        let is_other = found.misfit >= DAMAGED || found.swell_px.abs() > AS_LARGE_PX || apart(0) || apart(2);
+        let Some(sizes) = self.sizes.as_ref().filter(|_| is_other) else { return found };
+        let as_drawn = self.left_over(&self.surface, grey, found.centre);
+        let (mut best, mut least) = (found, as_drawn);
+        for way in [Sizes::larger, Sizes::smaller] {
+            for surface in way(sizes) {
+                let other = self.settle(surface, grey, best.centre, &|_, _| true).filter(|r| r.contrast > 0.0);
+                let Some(other) = other else { break };
+                let left = self.left_over(surface, grey, other.centre);
+                if left >= least {
+                    break;
+                }
+                (best, least) = (Refined { misfit: found.misfit, ..other }, left);
+            }
+            if least < as_drawn {
+                break;
+            }
+        }
+        if least < CLEARLY_LESS * as_drawn { best } else { found }
     }
 
     fn settle(&self, surface: &Surface, grey: &Grey, start: PixelPoint, hopeful: &Hopeful) -> Option<Refined> {
@@ -291,9 +331,16 @@ impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
         }
         let (centre, inverse) = settled?;
         let variance = fit.sigma() * fit.sigma();
-        let covariance_px2 = [(M, M), (M, M + 1), (M + 1, M + 1)].map(|at| inverse[at] * variance);
-        let refined =
-            Refined { centre, covariance_px2, contrast: fit.contrast(), sigma: fit.sigma(), misfit: fit.misfit().0 };
+        let mut covariance_px2 = [(M, M), (M, M + 1), (M + 1, M + 1)].map(|at| inverse[at] * variance);
+        covariance_px2.iter_mut().zip(fit.disagreement(&inverse)).for_each(|(v, apart)| *v += apart);
+        let refined = Refined {
+            centre,
+            covariance_px2,
+            contrast: fit.contrast(),
+            sigma: fit.sigma(),
+            misfit: fit.misfit().0,
+            swell_px: f64::from(fit.swell_px()),
+        };
         covariance_px2.iter().all(|v| v.is_finite()).then_some(refined)
     }
 }
@@ -383,6 +430,55 @@ mod tests {
                 let off = (found.centre.x - centre.x).hypot(found.centre.y - centre.y);
                 assert!(off < 0.04, "blurred by {blur_px} px: {off} px off");
             }
+        }
+    }
+
+    fn dot(diameter_mm: f64) -> Model {
+        Model::Drawn(MarkKind::Dot { diameter_mm, ring_diameter_mm: None, ring_line_mm: None })
+    }
+
+    /// The centre's error in its own standard deviations, with 0.02 px for the scanner as the result has it.
+    fn sigmas(found: &Refined, centre: PixelPoint) -> f64 {
+        let (dx, dy) = (found.centre.x - centre.x, found.centre.y - centre.y);
+        let [xx, xy, yy] = found.covariance_px2;
+        let (xx, yy) = (xx + 4e-4, yy + 4e-4);
+        ((yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy)).sqrt()
+    }
+
+    /// Overexposed, burnt out or wrong in the camera's file: evenly larger or smaller dots lie where they are.
+    #[test]
+    fn dots_of_another_size_lie_where_they_are() {
+        let linear = [33.3, 0.3, 0.3, -33.3];
+        let refiner = Refiner::new(&dot(0.3), linear, 0.4).expect("a turn");
+        for (k, diameter_mm) in [0.24, 0.3, 0.33, 0.36, 0.39].into_iter().enumerate() {
+            let centre = PixelPoint { x: 45.3 + 0.17 * k as f64, y: 44.8 - 0.23 * k as f64 };
+            let mut grey = scanned(&dot(diameter_mm), linear, centre);
+            let (width, height) = (grey.width, grey.height);
+            crate::window::blur(&mut grey.data, width, height, 0.7);
+            let start = PixelPoint { x: centre.x + 0.6, y: centre.y - 0.4 };
+            let found = refiner.refine(&grey, start, |_| 0.0).expect("settles");
+            let off = (found.centre.x - centre.x).hypot(found.centre.y - centre.y);
+            assert!(off < 0.04 && sigmas(&found, centre) < 3.0, "{diameter_mm} mm: {off} px off, {found:?}");
+        }
+    }
+
+    /// What a scratch over its rim takes of a dot is in what is said of its centre; without one little is.
+    #[test]
+    fn scratches_over_a_dot_are_in_its_covariance() {
+        let linear = [33.3, 0.3, 0.3, -33.3];
+        let refiner = Refiner::new(&dot(0.3), linear, 0.4).expect("a turn");
+        let centre = PixelPoint { x: 45.3, y: 44.8 };
+        let unspoilt = scanned(&dot(0.3), linear, centre);
+        let clean = refiner.refine(&unspoilt, centre, |_| 0.0).expect("settles");
+        for (column, value) in [(41, 0.7), (42, 0.1), (47, 0.1), (49, 0.7), (48, 0.1)] {
+            let mut grey = unspoilt.clone();
+            let width = grey.width;
+            grey.data.chunks_exact_mut(width).for_each(|row| row[column..column + 2].fill(value));
+            crate::window::blur(&mut grey.data, width, width, 0.7);
+            let found = refiner.refine(&grey, centre, |_| 0.0).expect("settles");
+            let sigma_px = |r: &Refined| r.covariance_px2[0].max(r.covariance_px2[2]).sqrt();
+            assert!(sigmas(&found, centre) < 3.5, "column {column}: {found:?}");
+            assert!(sigma_px(&found) > 0.04 && sigma_px(&clean) < 0.04, "column {column}: {found:?}, {clean:?}");
         }
     }
 

@@ -1,0 +1,127 @@
+//! A scan whose values fill little of their 16 bits: 8 or 9 bits of a scanner, written without a word of it.
+
+use autoref_raster::error::Result;
+use autoref_raster::window::Window;
+use autoref_raster::{Block, RasterInfo, RasterSource, ReadStats, SampleType};
+
+use super::window::read_rows;
+
+/// Values that stay below this share of white look flat, as what differs by less than half an 8-bit level does.
+const LITTLE: u16 = 64;
+
+/// The same pixels with their largest value for white.
+pub(super) struct OwnWhite<'a> {
+    inner: &'a dyn RasterSource,
+    info: RasterInfo,
+}
+
+impl<'a> OwnWhite<'a> {
+    /// Looks at all pixels; `None` where they fill more of their bits.
+    ///
+    /// # Errors
+    /// Those of reading the scan.
+    pub fn of(source: &'a dyn RasterSource) -> Result<Option<Self>> {
+        let info = source.info();
+        if info.sample != SampleType::U16 {
+            return Ok(None);
+        }
+        let mut largest = 0;
+        read_rows(source, &mut |row| {
+            largest = row.iter().copied().max().unwrap_or(0).max(largest);
+            Ok(())
+        })?;
+        let fills_little = largest > 0 && largest < info.white / LITTLE;
+        Ok(fills_little.then(|| OwnWhite { inner: source, info: RasterInfo { white: largest, ..info.clone() } }))
+    }
+
+    /// Its largest value.
+    pub fn white(&self) -> u16 {
+        self.info.white
+    }
+}
+
+impl RasterSource for OwnWhite<'_> {
+    fn info(&self) -> &RasterInfo {
+        &self.info
+    }
+
+    fn read(&self, window: Window) -> Result<Block> {
+        self.inner.read(window)
+    }
+
+    fn prefetch(&self, window: Window) {
+        self.inner.prefetch(window);
+    }
+
+    fn release(&self, window: Window) {
+        self.inner.release(window);
+    }
+
+    fn stats(&self) -> ReadStats {
+        self.inner.stats()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::frame::{FindOptions, Finder};
+    use crate::interior::distance;
+    use crate::types::{Camera, FrameStatus};
+    use crate::window::{GreySource, blur};
+    use autoref_raster::coords::PixelPoint;
+
+    const SIDE: usize = 600;
+
+    fn camera() -> Camera {
+        let mark = |name: &str, x: f64, y: f64| {
+            format!("{{ name = \"{name}\", x_mm = {x}, y_mm = {y}, kind = {{ shape = \"dot\", diameter_mm = 0.4 }} }}")
+        };
+        let marks = [mark("A", -9.0, -9.0), mark("B", 9.02, -9.0), mark("C", 9.0, 9.03), mark("D", -9.01, 9.0)];
+        let text = format!(
+            "name = \"small\"\nfilm_size_mm = [24.0, 24.0]\ny_axis = \"down\"\nupright = true\nmarks = [{}]",
+            marks.join(", ")
+        );
+        toml::from_str(&text).expect("a camera")
+    }
+
+    /// A frame of the camera, 25 px to a millimetre, as grey values from 0 to 1.
+    fn drawn(places: &[PixelPoint]) -> Vec<f32> {
+        let grain = |n: usize| ((n as u32).wrapping_mul(2_654_435_761) >> 24) as f32 / 255.0;
+        let mut values: Vec<f32> = (0..SIDE * SIDE).map(|n| 0.06 + 0.01 * grain(n)).collect();
+        for p in places {
+            for n in 0..24 * 24 {
+                let (x, y) = (p.x.floor() as usize + n % 24 - 12, p.y.floor() as usize + n / 24 - 12);
+                let part = |k: usize| (k as f64 + 0.5) / 8.0;
+                let is_in = |k: &usize| (x as f64 + part(k % 8) - p.x).hypot(y as f64 + part(k / 8) - p.y) < 5.0;
+                values[y * SIDE + x] += 0.7 * (0..64).filter(is_in).count() as f32 / 64.0;
+            }
+        }
+        blur(&mut values, SIDE, SIDE, 0.7);
+        values
+    }
+
+    #[test]
+    fn eight_bits_in_sixteen_show_their_marks() {
+        let camera = camera();
+        let middle = PixelPoint { x: 300.3, y: 299.6 };
+        let at = |mm: &[f64; 2]| PixelPoint { x: middle.x + 25.0 * mm[0], y: middle.y + 25.0 * mm[1] };
+        let places: Vec<PixelPoint> = camera.film_points().iter().map(at).collect();
+        let values = drawn(&places);
+        let scan = |white: f32| {
+            let data = values.iter().map(|v| (v * white).round() as u16).collect();
+            GreySource::new(Path::new("small.tif"), SIDE as u64, SIDE as u64, data)
+        };
+        assert!(OwnWhite::of(&scan(4095.0)).expect("memory").is_none(), "12 bits show them as they are");
+        // In smaller boxes of so small a frame specks would agree by chance.
+        let options = FindOptions { pixel_um: Some(40.0), box_share: 0.2, ..FindOptions::default() };
+        let frame = Finder::new(&camera).expect("drawn").find(&scan(255.0), &options).expect("memory");
+        assert_eq!(frame.status, FrameStatus::Ok, "{frame:?}");
+        for (mark, place) in frame.marks.iter().zip(&places) {
+            assert!(distance(mark.centre.expect("seen"), *place) < 0.05, "{mark:?}");
+        }
+        assert!(frame.notes.iter().any(|n| n.contains("of 16 bits")), "{:?}", frame.notes);
+    }
+}
