@@ -11,7 +11,6 @@ use autoref_flight::read::{self, same_image};
 use autoref_flight::world::World;
 use autoref_flight::{Camera, Pose, SizeOf};
 use autoref_raster::bilinear::by_weights;
-use autoref_raster::bounded;
 use autoref_raster::crs::{Coordinate, Crs};
 use nalgebra::Vector3;
 
@@ -114,13 +113,10 @@ fn posed_by_reconstruction(
         bail!("{option} is of a camera table, and {} is a reconstruction; leave it out", file.display());
     }
     let Some(i) = model.find(name) else { bail!("{}: has no frame `{name}`", file.display()) };
-    let text = bounded::read_to_string(file, "cameras", bounded::DOCUMENT_BYTES).unwrap_or_default();
-    let stated = serde_json::from_str::<serde_json::Value>(&text).ok();
-    let crs = stated.and_then(|d| d.get("crs")?.as_str().map(str::to_string));
     // Who names a CRS says that the coordinates are the map's.
     let on_map = args.shift.is_some() || args.crs.is_some() || model_crs.is_none_or(Crs::is_local);
     let about = model.reference_lla.filter(|_| !on_map);
-    let frame = about.map_or_else(|| Frame::Map(args.crs.clone().or(crs)), Frame::Tangent);
+    let frame = about.map_or_else(|| Frame::Map(args.crs.clone().or(model.crs.clone())), Frame::Tangent);
     let mut pose = model.photographs[i].pose;
     if let Some(text) = &args.shift {
         pose.centre += Vector3::from(params::numbers("--shift", text, "E,N,H")?);
