@@ -5,6 +5,7 @@ use std::path::Path;
 use super::flight::{F_PX, Place, SIDE, autoref, brightness, expect, ground, json, text};
 use crate::common::data;
 use autoref_raster::crs::{Coordinate, Crs};
+use gdal::Metadata as _;
 
 /// A raster of floats on a plane.
 pub(super) fn write_dem(
@@ -287,4 +288,80 @@ fn the_interior_of_the_options_is_that_of_the_frame() {
     let side = SIDE as f64;
     let interior = ["--f-px", "500", "--pp-px", "240,240"];
     assert!(drawn(side, &[]) == drawn(2.0 * side, &interior) && drawn(side, &[]) == drawn(2.0 * side, &[]));
+}
+
+/// A frame of 40 × 30 bands of columns and rows over level ground: `value` of band, column and row.
+fn small_frame<T: gdal::raster::GdalType + Copy>(
+    path: &Path,
+    bands: usize,
+    value: impl Fn(usize, usize, usize) -> T,
+) -> gdal::Dataset {
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("there");
+    let file = driver.create_with_band_type::<T, _>(path, 40, 30, bands).expect("a new file");
+    for band in 0..bands {
+        let values = (0..40 * 30).map(|k| value(band, k % 40, k / 40)).collect();
+        let mut buffer = gdal::raster::Buffer::new((40, 30), values);
+        file.rasterband(band + 1).expect("a band").write((0, 0), (40, 30), &mut buffer).expect("written");
+    }
+    file
+}
+
+/// Runs `orthorectify` on a frame of [`small_frame`] that looks straight down from 100 m, one pixel to a metre.
+fn small_ortho(place: &Place, frame: &Path) -> gdal::Dataset {
+    let (dem, out) = (place.at("dem.tif"), place.at("ortho.tif"));
+    write_dem(&dem, (20, 20), [-50.0, 50.0], 5.0, |_, _| 0.0);
+    let name = frame.file_name().and_then(|name| name.to_str()).expect("plain");
+    let table = place.write("table.csv", &format!("name,x,y,z,yaw,pitch,roll\n{name},0,0,100,0,-90,0\n"));
+    let words = ["flight", "orthorectify", text(frame), "--dem", text(&dem), "--cameras", text(&table)];
+    let more = ["--f-px", "100", "--gsd", "1", "--overwrite", "-o", text(&out)];
+    expect(&autoref(&[&words[..], &more].concat(), None, &[]), 0, &[]);
+    gdal::Dataset::open(&out).expect("it opens")
+}
+
+/// The numbers of a band at a place of the map.
+fn number_at(file: &gdal::Dataset, band: usize, [x, y]: [f64; 2]) -> f64 {
+    let transform = file.geo_transform().expect("georeferenced");
+    let at = (((x - transform[0]) / transform[1]) as isize, ((y - transform[3]) / transform[5]) as isize);
+    let band = file.rasterband(band).expect("a band");
+    band.read_as::<f64>(at, (1, 1), (1, 1), None).expect("read").data()[0]
+}
+
+/// White paint in a picture whose nodata is 255: its red is no hole, and its border is one.
+#[test]
+fn a_colour_that_is_the_number_of_nodata_stays() {
+    let place = Place::new();
+    let frame = place.at("frame.tif");
+    let file = small_frame::<u8>(&frame, 3, |band, x, _| if x < 10 { 255 } else { [255, 120, 90][band] });
+    for band in 1..=3 {
+        file.rasterband(band).expect("a band").set_no_data_value(Some(255.0)).expect("kept");
+    }
+    file.close().expect("written");
+    let ortho = small_ortho(&place, &frame);
+    let all = |at| [1, 2, 3, 4].map(|band| number_at(&ortho, band, at));
+    assert_eq!((all([5.5, 0.5]), all([-15.5, 0.5])), ([255.0, 120.0, 90.0, 255.0], [0.0; 4]));
+    // Bands of floats have each their own holes.
+    let frame = place.at("floats.tif");
+    small_frame::<f32>(&frame, 2, |band, x, _| if band == 1 && x < 10 { f32::NAN } else { 7.0 })
+        .close()
+        .expect("written");
+    let ortho = small_ortho(&place, &frame);
+    assert!(number_at(&ortho, 1, [-15.5, 0.5]) == 7.0 && number_at(&ortho, 2, [-15.5, 0.5]).is_nan());
+}
+
+#[test]
+fn what_a_frame_says_of_its_bands_is_kept() {
+    let place = Place::new();
+    let frame = place.at("frame.tif");
+    let file = small_frame::<u16>(&frame, 2, |band, _, _| [300, 400][band]);
+    let mut band = file.rasterband(2).expect("a band");
+    band.set_description("NIR").expect("kept");
+    band.set_scale(0.01).and_then(|()| band.set_offset(5.0)).expect("kept");
+    autoref_raster::set_unit(&frame, &band, "W/m2").expect("kept");
+    file.close().expect("written");
+    let ortho = small_ortho(&place, &frame);
+    let band = ortho.rasterband(2).expect("a band");
+    let said = (band.description().expect("text"), band.scale(), band.offset(), band.unit());
+    assert_eq!(said, ("NIR".to_string(), Some(0.01), Some(5.0), "W/m2".to_string()));
+    assert_eq!([1, 2].map(|band| number_at(&ortho, band, [0.5, 0.5])), [300.0, 400.0]);
+    assert_eq!(ortho.rasterband(1).expect("a band").description().expect("text"), "");
 }

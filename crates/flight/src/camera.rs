@@ -156,10 +156,38 @@ impl Camera {
 
     /// Pixel of a point in the camera's axes (x right, y down, z forward); `None` when the point is not in front.
     pub fn project(&self, point: [f64; 3]) -> Option<[f64; 2]> {
-        (point[2] > 0.0 || self.projection.sees_behind())
-            .then(|| self.projection.plane(point))
-            .map(|place| if self.is_plain() { scaled(|p| self.get(p), place) } else { self.image(&self.values, place) })
-            .filter(|p| p[0].is_finite() && p[1].is_finite())
+        self.place(point).and_then(|place| self.pixel_of(place))
+    }
+
+    /// Place of a point in the plane of the projection, f as unit; `None` when the point is not in front.
+    pub(crate) fn place(&self, point: [f64; 3]) -> Option<[f64; 2]> {
+        (point[2] > 0.0 || self.projection.sees_behind()).then(|| self.projection.plane(point))
+    }
+
+    /// Pixel of a place in the plane of the projection, where it is a number.
+    pub(crate) fn pixel_of(&self, place: [f64; 2]) -> Option<[f64; 2]> {
+        let pixel = if self.is_plain() { scaled(|p| self.get(p), place) } else { self.image(&self.values, place) };
+        Some(pixel).filter(|p| p[0].is_finite() && p[1].is_finite())
+    }
+
+    /// The determinant of [`Camera::pixel_of`] by the place, square pixels.
+    pub(crate) fn area_of(&self, [x, y]: [f64; 2]) -> f64 {
+        let values = self.values.map(Dual::<2>::constant);
+        let [u, v] = self.image(&values, [Dual::variable(x, 0), Dual::variable(y, 1)]);
+        u.d[0] * v.d[1] - u.d[1] * v.d[0]
+    }
+
+    /// Lengths across the view, at a distance of one along a ray of unit length, for one of f in the plane.
+    pub fn across(&self, ray: [f64; 3]) -> f64 {
+        match self.projection {
+            Projection::Perspective => ray[2],
+            Projection::Equirectangular => 1.0,
+            _ => {
+                let [x, y] = self.projection.plane(ray);
+                let off = x.hypot(y);
+                if off > 0.0 { ray[0].hypot(ray[1]) / off } else { 1.0 }
+            }
+        }
     }
 
     /// Pixel and its derivatives by the point.
@@ -196,7 +224,7 @@ impl Camera {
     }
 
     /// Whether neither a term of the lens nor a map bends the plane: what [`Camera::image`] does is then [`scaled`].
-    fn is_plain(&self) -> bool {
+    pub(crate) fn is_plain(&self) -> bool {
         self.values[Parameter::K1 as usize..].iter().all(|v| *v == 0.0) && !self.has_plane_maps()
     }
 
@@ -265,20 +293,6 @@ impl Camera {
         Some([0, 1].map(|k| (at[k] - centre[k]) / scale[k]))
     }
 
-    /// Whether the image's mapping is one to one out to the place of an undistorted point: beyond the fold of a radial
-    /// polynomial, far points would come back into the image.
-    pub fn reach(&self) -> f64 {
-        let pp = self.pp_px();
-        let corners = [[0.0, 0.0], [self.size_px[0], 0.0], [0.0, self.size_px[1]], self.size_px];
-        let radius = corners.iter().filter_map(|c| self.ray(*c)).map(|d| d[0].hypot(d[1]) / d[2].max(1e-3));
-        let farthest = radius.fold(0.0, f64::max);
-        if farthest > 0.0 {
-            farthest * 1.05
-        } else {
-            corners.iter().map(|c| (c[0] - pp[0]).hypot(c[1] - pp[1])).fold(0.0, f64::max) / self.f_px() * 1.05
-        }
-    }
-
     /// Whether a place in pixels lies in the image, its edges included.
     pub fn contains(&self, pixel: [f64; 2]) -> bool {
         (0.0..=self.size_px[0]).contains(&pixel[0]) && (0.0..=self.size_px[1]).contains(&pixel[1])
@@ -345,7 +359,7 @@ impl Projection {
     }
 
     /// The direction of a place in the plane, a unit vector; `None` where the plane has ended.
-    fn direction(self, [x, y]: [f64; 2]) -> Option<[f64; 3]> {
+    pub(crate) fn direction(self, [x, y]: [f64; 2]) -> Option<[f64; 3]> {
         let r = x.hypot(y);
         let angle = match self {
             Projection::Perspective => return Some(unit([x, y, 1.0])),

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use crate::camera::Camera;
 use crate::pose::Pose;
+use crate::reach::Reach;
 
 /// Heights at the centres of the cells of a north-up grid in map coordinates, NaN where there are none. Between centres
 /// the surface is bilinear.
@@ -237,7 +238,7 @@ pub struct View<'a> {
     /// 1/(2R), or 0 on a plane.
     pub sag: f64,
     /// [`Camera::reach`].
-    pub reach: f64,
+    pub reach: Reach,
 }
 
 impl View<'_> {
@@ -245,11 +246,7 @@ impl View<'_> {
     pub fn at(&self, x: f64, y: f64, to_world: impl Fn(f64) -> Vector3<f64>) -> Place {
         let Some(h) = self.surface.height(x, y) else { return Place::NoHeight };
         let p = self.pose.to_camera(&to_world(h));
-        // Beyond the fold of the distortion far places would come back into the image.
-        if p.z <= 0.0 || p.x.hypot(p.y) > self.reach * p.z {
-            return Place::Outside;
-        }
-        match self.camera.project(p.into()).filter(|at| self.camera.contains(*at)) {
+        match self.camera.shows(p.into(), &self.reach) {
             None => Place::Outside,
             Some(_) if self.surface.hides([x, y, h], self.eye, self.sag) => Place::Hidden,
             Some(pixel) => Place::Pixel(pixel),

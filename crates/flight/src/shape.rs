@@ -5,6 +5,8 @@
 use autoref_raster::ranks::upper_median;
 use nalgebra::Vector3;
 
+use crate::camera::Camera;
+use crate::reach::Reach;
 use crate::read::{Reconstruction, TiePoint};
 
 /// Places along each side of a frame that rays go through.
@@ -28,6 +30,7 @@ pub fn ties_of_poses(model: &Reconstruction) -> Vec<TiePoint> {
         .take(MOST_DEPTHS)
         .take_while(|depth| *depth <= 2.0 * EXTENTS * extent)
         .collect();
+    let reaches: Vec<Reach> = model.cameras.iter().map(Camera::reach).collect();
     let mut ties = vec![];
     for photograph in &model.photographs {
         let camera = &model.cameras[photograph.camera];
@@ -38,7 +41,7 @@ pub fn ties_of_poses(model: &Reconstruction) -> Vec<TiePoint> {
             let direction = photograph.pose.rotation.transpose() * Vector3::from(ray);
             for depth in &depths {
                 let xyz = photograph.pose.centre + direction * *depth;
-                let seen = seen_nearest(model, &xyz, &photograph.pose.centre);
+                let seen = seen_nearest(model, &reaches, &xyz, &photograph.pose.centre);
                 if seen.len() >= 2 {
                     ties.push(TiePoint { xyz, seen });
                 }
@@ -49,16 +52,21 @@ pub fn ties_of_poses(model: &Reconstruction) -> Vec<TiePoint> {
 }
 
 /// The frames nearest to a place that see a point, and where.
-fn seen_nearest(model: &Reconstruction, xyz: &Vector3<f64>, from: &Vector3<f64>) -> Vec<(usize, [f64; 2])> {
+fn seen_nearest(
+    model: &Reconstruction,
+    reaches: &[Reach],
+    xyz: &Vector3<f64>,
+    from: &Vector3<f64>,
+) -> Vec<(usize, [f64; 2])> {
     let mut all: Vec<(f64, usize, [f64; 2])> = model
         .photographs
         .iter()
         .enumerate()
         .filter_map(|(i, p)| {
             let camera = &model.cameras[p.camera];
-            let at = p.pose.to_camera(xyz);
-            let reached = at.z > 0.0 && at.x.hypot(at.y) <= camera.reach() * at.z;
-            let pixel = camera.project(at.into()).filter(|pixel| reached && camera.contains(*pixel))?;
+            // Adjustments count what lies before a camera, whatever its lens.
+            let at = Some(p.pose.to_camera(xyz)).filter(|at| at.z > 0.0)?;
+            let pixel = camera.shows(at.into(), &reaches[p.camera])?;
             Some(((p.pose.centre - from).norm(), i, pixel))
         })
         .collect();

@@ -164,5 +164,5 @@ fn block(
         .collect();
     let photographs =
         joined.iter().map(|i| Photograph { name: names[*i].clone(), camera: 0, pose: poses[*i] }).collect();
-    Ok(Reconstruction { cameras: vec![camera.clone()], photographs, ties, reference_lla: None, notes })
+    Ok(Reconstruction { cameras: vec![camera.clone()], photographs, ties, notes, ..Reconstruction::default() })
 }

@@ -7,7 +7,7 @@
 //! Coordinates of the map are in its units, easting and northing in one and heights in another; the world is in metres.
 //! [`Geodesy`] is the one place where the one becomes the other.
 
-use nalgebra::{Matrix2, Matrix3, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use crate::pose::{Pose, orthonormal};
 
@@ -110,6 +110,13 @@ impl World {
         let [plan_m, height_m] = self.units_m();
         let [e, n, h] = difference;
         [e * plan_m, n * plan_m, h * height_m]
+    }
+    /// A difference of two places of the map in metres on the ground, along the axes of the map at one of them.
+    pub fn ground_metres_of(&self, map: [f64; 3], difference: [f64; 3]) -> [f64; 3] {
+        let [e, n, h] = self.metres_of(difference);
+        let plan = Vector2::new(e, n);
+        let plan = self.map_scale(map).and_then(|scale| scale.try_inverse()).map_or(plan, |ground| ground * plan);
+        [plan.x, plan.y, h]
     }
     /// The map's axes (grid east, grid north, up) at a place, as columns in the world.
     pub fn grid(&self, map: [f64; 3]) -> Option<Matrix3<f64>> {
@@ -230,6 +237,10 @@ mod tests {
         let (east, north) = (1e5 / 55_801.0, 1e5 / 111_414.0);
         assert!((plain[(0, 0)] - east).abs() < 1e-3 && (plain[(1, 1)] - north).abs() < 1e-3, "{plain}");
         assert!(plain[(0, 1)].abs().max(plain[(1, 0)].abs()) < 1e-4, "{plain}");
+        // What lies 100 m to the east and 200 m to the north there lies so far on the ground.
+        let world = World::curved(Box::new(Plain), [0.0; 3]).expect("on the Earth");
+        let by = Vector3::from(world.ground_metres_of([40.0, 0.0, 300.0], [100.0 * east, 200.0 * north, -7.0]));
+        assert!((by - Vector3::new(100.0, 200.0, -7.0)).norm() < 0.2, "{by}");
         // In metres, whatever the map counts in.
         assert!((plain - scale(Box::new(Feet), 0.0)).norm() < 1e-3);
         let flat = World::flat([500.0; 3]).map_scale([500.0; 3]);

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::{Flight, Place, autoref, brightness, expect, ground, json, text};
 use crate::orthorectify::write_dem;
+use autoref_raster::crs::{Coordinate, Crs};
 use nalgebra::Vector3;
 use serde_json::Value;
 
@@ -26,15 +27,7 @@ impl Map {
     }
 
     fn opendronemap(self, flight: &Flight) -> String {
-        let mut list = format!("{}\n", self.0);
-        for (name, xyz, seen) in &flight.gcps {
-            let [e, n, h] = self.of_plane(xyz);
-            for (frame, [x, y]) in seen {
-                let image = &flight.model.photographs[*frame].name;
-                writeln!(list, "{e:.6} {n:.6} {h:.6} {:.4} {:.4} {image} {name}", x - 0.5, y - 0.5).expect("text");
-            }
-        }
-        list
+        opendronemap(self.0, flight, |xyz| self.of_plane(xyz))
     }
 
     fn points(self, flight: &Flight) -> String {
@@ -56,6 +49,19 @@ impl Map {
         let at = |i: usize| camera["C"][i].as_f64().expect("a number");
         Vector3::new(at(0) * self.1, at(1) * self.1, at(2) * self.2)
     }
+}
+
+/// OpenDroneMap's list of the GCPs, `of_plane` of which are their places in the CRS.
+fn opendronemap(crs: &str, flight: &Flight, of_plane: impl Fn(&Vector3<f64>) -> [f64; 3]) -> String {
+    let mut list = format!("{crs}\n");
+    for (name, xyz, seen) in &flight.gcps {
+        let [e, n, h] = of_plane(xyz);
+        for (frame, [x, y]) in seen {
+            let image = &flight.model.photographs[*frame].name;
+            writeln!(list, "{e:.6} {n:.6} {h:.6} {:.4} {:.4} {image} {name}", x - 0.5, y - 0.5).expect("text");
+        }
+    }
+    list
 }
 
 fn observations(flight: &Flight) -> String {
@@ -114,6 +120,53 @@ fn points_and_positions_in_feet_give_the_cameras_of_those_in_metres() {
             let sigma = |camera: &Value| camera["sigma_h"].as_f64().expect("a number");
             assert!((sigma(pair.0) / sigma(pair.1) - 1.0).abs() < 1e-3, "{} {}", pair.0, pair.1);
         }
+    }
+}
+
+/// The document of a map is adjusted in it as what it was made from, also where the map stretches the ground, and where
+/// it counts heights in another unit than its eastings.
+#[test]
+fn a_document_of_a_map_is_adjusted_on_the_ground() {
+    let place = Place::new();
+    let model = place.at("model");
+    place.flight.write_model(&model);
+    // Metres of EPSG:3857 are 1.3 to one on the ground here.
+    let stretched = |xyz: &Vector3<f64>| {
+        let [x, y, z] = METRES.of_plane(xyz);
+        let crs = |word| Crs::parse(word).expect("known");
+        let mut at = [Coordinate { x, y, height: None }];
+        crs(METRES.0).transform(&mut at, &crs("EPSG:3857"), 100.0).expect("both have it");
+        [at[0].x, at[0].y, z]
+    };
+    let lists = [
+        ("EPSG:3857", opendronemap("EPSG:3857", &place.flight, stretched), 1.0, 1.0),
+        (MAPS[2].0, MAPS[2].opendronemap(&place.flight), MAPS[2].1, MAPS[2].2),
+    ];
+    for (crs, list, plan_m, height_m) in lists {
+        let (gcps, document) = (place.write("gcps.txt", &list), place.at("cameras.json"));
+        let adjusted = |of: &Path, more: &[&str]| {
+            let words = ["flight", "adjust", text(of), "--gcps", text(&gcps), "--sigma-ground", "0.02"];
+            run(&[&words[..], &["--free", "none", "--json"], more].concat())
+        };
+        let first = adjusted(&model, &["-o", text(&document), "--overwrite"]);
+        let second = adjusted(&document, &[]);
+        for (i, known) in first["cameras"].as_array().expect("cameras").iter().enumerate() {
+            let at = |camera: &Value, axis: usize| camera["C"][axis].as_f64().expect("a number");
+            let by = |axis: usize| at(&second["cameras"][i], axis) - at(known, axis);
+            let off = Vector3::new(by(0) * plan_m, by(1) * plan_m, by(2) * height_m).norm();
+            assert!(off < 0.5, "{crs}: {off} m: {known} {}", second["cameras"][i]);
+        }
+    }
+    // A place that the map does not have, and degrees.
+    let text_of = std::fs::read_to_string(place.at("cameras.json")).expect("written");
+    let mut document: Value = serde_json::from_str(&text_of).expect("JSON");
+    for (crs, said) in [("EPSG:4326", "degrees"), ("EPSG:25833", "outside")] {
+        document["crs"] = crs.into();
+        document["cameras"][0]["C"] = serde_json::json!([1e11, 1e11, 400.0]);
+        let wrong = place.write("wrong.json", &document.to_string());
+        let gcps = place.at("gcps.txt");
+        let words = ["flight", "adjust", text(&wrong), "--gcps", text(&gcps)];
+        expect(&autoref(&words, None, &[]), 2, &["wrong.json", said]);
     }
 }
 

@@ -33,6 +33,9 @@ pub struct Reconstruction {
     pub ties: Vec<TiePoint>,
     /// Longitude, latitude, height of the origin when the world is east, north, up there (OpenSfM).
     pub reference_lla: Option<[f64; 3]>,
+    /// The CRS whose coordinates and axes the poses are in, or `local`, where the reconstruction states it
+    /// (`cameras.json`); else they are Cartesian.
+    pub crs: Option<String>,
     pub notes: Vec<String>,
 }
 

@@ -21,7 +21,8 @@ const ROUNDED: f64 = 1e-3;
 /// The cameras of a document.
 pub(super) fn read(path: &Path, root: &Value) -> Result<Reconstruction> {
     check_crs(path, root)?;
-    let mut result = Reconstruction::default();
+    let crs = root.get("crs").and_then(Value::as_str).map(str::to_string);
+    let mut result = Reconstruction { crs, ..Reconstruction::default() };
     let all = match root.get("cameras") {
         Some(list) => list.as_array().map_or(&[][..], Vec::as_slice),
         None => std::slice::from_ref(root),

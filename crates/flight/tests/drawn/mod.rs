@@ -43,9 +43,7 @@ pub fn block(draw: &mut Draw, n: usize, ties: usize, gcps: usize) -> (Reconstruc
     let see = |model: &Reconstruction, x: &Vector3<f64>| -> Vec<(usize, [f64; 2])> {
         let all = model.photographs.iter().enumerate();
         // What lies far to the side, the polynomial of the lens would bring back into the image.
-        let sighted = |p: &Photograph| Some(p.pose.to_camera(x)).filter(|x| x.xy().norm() < reach * x.z);
-        all.filter_map(|(i, p)| Some((i, camera.project(sighted(p)?.into()).filter(|at| camera.contains(*at))?)))
-            .collect()
+        all.filter_map(|(i, p)| Some((i, camera.shows(p.pose.to_camera(x).into(), &reach)?))).collect()
     };
     let mut points = Vec::new();
     while model.ties.len() < ties || points.len() < gcps {

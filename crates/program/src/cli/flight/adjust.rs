@@ -14,7 +14,7 @@ use autoref_raster::crs::Crs;
 use nalgebra::Vector3;
 
 use super::document::CamerasDocument;
-use super::{camera_tables, check_output, check_sigmas, finish, footprints, interior, lists, plausible};
+use super::{camera_tables, check_output, check_sigmas, finish, footprints, interior, lists, plausible, worlds};
 use crate::cli::progress::Steps;
 
 /// Bring a reconstruction (COLMAP, MicMac, OpenSfM, cameras.json) to the ground by bundle adjustment with GCPs or
@@ -206,6 +206,7 @@ pub fn run(args: &AdjustArgs) -> Result<ExitCode> {
     let interior = interior(&args.free, "--free")?;
     let mut model = read::reconstruction(&args.reconstruction)?;
     model.drop_unused_cameras();
+    worlds::straighten(&mut model, &args.reconstruction)?;
     let has_ties = !model.ties.is_empty();
     let Datum { control, world, points, rough, mut notes, said } = Datum::of(args, &model)?;
     if !has_ties {

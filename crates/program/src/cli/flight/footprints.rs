@@ -22,7 +22,7 @@ const SIDE: usize = 12;
 /// Ground farther than this many heights is not drawn: beyond it lies the horizon.
 const FARTHEST_HEIGHTS: f64 = 15.0;
 
-/// Camera − table, by frame and together: Δx, Δy, Δz with their signs, and d = √(Δx² + Δy² + Δz²) (thesis of 2017,
+/// Camera − table, by frame and together, metres on the ground: Δx, Δy, Δz with their signs, and d = √(Δx² + Δy² + Δz²) (thesis of 2017,
 /// equation 9.2, which prints the sizes alone).
 pub fn rough_differences(
     found: &Adjustment,
@@ -36,7 +36,7 @@ pub fn rough_differences(
         let name = &model.photographs[camera.photograph].name;
         let row = rows.iter().find(|r| same_image(&r.name, std::iter::once(name.as_str())).is_some());
         let (Some(row), Some(at)) = (row, world.to_map(&camera.pose.centre)) else { continue };
-        let by = world.metres_of(std::array::from_fn(|a| at[a] - row.xyz[a]));
+        let by = world.ground_metres_of(at, std::array::from_fn(|a| at[a] - row.xyz[a]));
         let turn_deg = camera_tables::rough_pose(row, world, 1.0, 1.0).and_then(|rough| turn_deg(&camera.pose, &rough));
         let [x_m, y_m, z_m] = by;
         let (name, d_m, line) = (name.clone(), Vector3::from(by).norm(), row.line.clone());

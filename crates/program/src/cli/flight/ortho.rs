@@ -3,6 +3,7 @@
 mod draw;
 mod model;
 mod place;
+mod seen;
 pub(super) use place::resize;
 
 use std::path::{Path, PathBuf};
@@ -23,7 +24,8 @@ use crate::cli::dem::ResourceArgs;
 use draw::Job;
 pub(in crate::cli) use model::Dem;
 use model::{open, scaled};
-use place::{Lattice, Seen, Seer, place, posed};
+use place::{Lattice, place, posed};
+use seen::{Seen, Seer};
 
 /// Map a frame onto the ground over an elevation model: a Cloud Optimized GeoTIFF in the model's CRS.
 #[derive(Debug, clap::Args)]

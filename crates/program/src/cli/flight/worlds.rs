@@ -1,8 +1,12 @@
 //! Worlds of a reference system: what its coordinates count in, and the way to longitude and latitude.
 
-use anyhow::{Context as _, Result};
+use std::path::Path;
+
+use anyhow::{Context as _, Result, bail};
+use autoref_flight::read::Reconstruction;
 use autoref_flight::world::{Geodesy, World};
 use autoref_raster::crs::{Coordinate, Crs, Way};
+use nalgebra::Vector3;
 
 /// Of a map's datum against WGS 84, metres: a block's shape does not depend on it.
 pub const DATUM_M: f64 = 100.0;
@@ -77,6 +81,28 @@ pub fn world_of(crs: Option<&Crs>, centre: [f64; 3]) -> Result<World> {
 /// The world about a place of the map that is given in metres, as all others are to be.
 pub fn metric_world_of(crs: &Crs, centre_m: [f64; 3]) -> Result<World> {
     if crs.is_local() { Ok(World::flat(centre_m)) } else { curved(crs, Units::metres(crs), centre_m) }
+}
+
+/// Brings cameras that stand in a map (`cameras.json`) to the tangent frame at their middle, metres: what lies straight
+/// on the ground lies so there, whatever the map does to it.
+///
+/// # Errors
+/// When the map is one of degrees, or has no place on the Earth for one of them.
+pub fn straighten(model: &mut Reconstruction, path: &Path) -> Result<()> {
+    let stated = model.crs.take().filter(|word| !word.trim().eq_ignore_ascii_case("local"));
+    let Some(crs) = stated.as_deref().map(Crs::parse).transpose()? else { return Ok(()) };
+    if crs.is_geographic() {
+        bail!("{}: its cameras stand in degrees ({}); give them in a projected CRS", path.display(), crs.title());
+    }
+    let sum: Vector3<f64> = model.photographs.iter().map(|p| p.pose.centre).sum();
+    let middle = sum / model.photographs.len().max(1) as f64;
+    let outside = |what: String| format!("{}: {what} outside {}; correct `C` or `crs`", path.display(), crs.title());
+    let world = world_of(Some(&crs), middle.into()).ok().with_context(|| outside("its cameras lie".into()))?;
+    for p in &mut model.photographs {
+        let posed = world.pose_to_world(&p.pose);
+        p.pose = posed.with_context(|| outside(format!("the camera of `{}` lies", p.name)))?;
+    }
+    Ok(())
 }
 
 fn curved(crs: &Crs, units: Units, centre: [f64; 3]) -> Result<World> {

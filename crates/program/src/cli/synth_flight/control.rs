@@ -1,6 +1,7 @@
 //! Points on the ground that several frames show.
 
 use anyhow::{Result, bail};
+use autoref_flight::Reach;
 use autoref_flight::ortho::{Place, View};
 use autoref_flight::render::FrameRenderer;
 use autoref_synth::rng::Rng;
@@ -37,6 +38,7 @@ pub fn draw(
 ) -> Result<Vec<Point>> {
     let mut rng = Rng::new(seed, 0x9c9, 0);
     let needed = frames.len().min(2);
+    let reaches: Vec<Reach> = frames.iter().map(|frame| frame.camera.reach()).collect();
     let mut points = Vec::new();
     for number in 0..gcps + checks {
         let check = number >= gcps;
@@ -48,7 +50,7 @@ pub fn draw(
             let near = (Vector3::from(place) - frame.exposure.pose.centre).norm() < FARTHEST * height;
             let wet = frame.landscape.sea_level_m.is_some_and(|level| place[2] <= level + 0.5);
             let seen: Vec<(usize, [f64; 2])> =
-                frames.iter().enumerate().filter_map(|(i, f)| Some((i, visible(f, place)?))).collect();
+                frames.iter().enumerate().filter_map(|(i, f)| Some((i, visible(f, reaches[i], place)?))).collect();
             (near && !wet && seen.len() >= needed).then_some((place, seen))
         });
         let Some((truth, seen)) = found else {
@@ -67,11 +69,10 @@ pub fn draw(
 }
 
 /// The pixel of a place, when the frame shows it and no ground stands before it.
-fn visible(frame: &FrameRenderer<'_>, place: [f64; 3]) -> Option<[f64; 2]> {
+fn visible(frame: &FrameRenderer<'_>, reach: Reach, place: [f64; 3]) -> Option<[f64; 2]> {
     let pose = frame.exposure.pose;
     let surface = &frame.landscape.surface;
-    let view =
-        View { camera: frame.camera, pose, eye: pose.centre.into(), surface, sag: 0.0, reach: frame.camera.reach() };
+    let view = View { camera: frame.camera, pose, eye: pose.centre.into(), surface, sag: 0.0, reach };
     let Place::Pixel(pixel) = view.at(place[0], place[1], |h| Vector3::new(place[0], place[1], h)) else { return None };
     let margin = MARGIN * frame.camera.size_px[0].min(frame.camera.size_px[1]);
     (0..2).all(|k| pixel[k] > margin && pixel[k] < frame.camera.size_px[k] - margin).then_some(pixel)

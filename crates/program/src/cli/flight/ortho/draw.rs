@@ -9,9 +9,10 @@ use autoref_raster::cloud_optimised::{self, Overviews};
 use autoref_raster::error::{Error as RasterError, Result as RasterResult};
 use autoref_raster::keys;
 use autoref_raster::masked::has_mask;
+use autoref_raster::set_unit;
 use autoref_raster::window::Window;
-use gdal::Dataset;
-use gdal::raster::{Buffer, ColorInterpretation, GdalType};
+use gdal::raster::{Buffer, ColorInterpretation, GdalType, RasterBand};
+use gdal::{Dataset, Metadata as _};
 
 use super::OrthorectifyArgs;
 use super::model::open;
@@ -45,6 +46,17 @@ struct Drawn {
     band: usize,
     /// The colour of each number; NaN where it is transparent.
     colours: Option<Vec<f32>>,
+    /// What is said of the band; of a palette's colours nothing.
+    said: Said,
+}
+
+/// What a file says of a band.
+#[derive(Default)]
+struct Said {
+    name: String,
+    unit: String,
+    /// Factor and summand of its numbers, where they are not 1 and 0.
+    scale: Option<(f64, f64)>,
 }
 
 impl Bands {
@@ -60,14 +72,40 @@ impl Bands {
                     let entries: Vec<[i16; 4]> = (0..table.entry_count()).map(entry).collect();
                     for colour in 0..3 {
                         let of = |e: &[i16; 4]| if e[3] == 0 { f32::NAN } else { f32::from(e[colour]) };
-                        of_frame.push(Drawn { band: number, colours: Some(entries.iter().map(of).collect()) });
+                        let colours = Some(entries.iter().map(of).collect());
+                        of_frame.push(Drawn { band: number, colours, said: Said::default() });
                     }
                 }
-                _ => of_frame.push(Drawn { band: number, colours: None }),
+                _ => of_frame.push(Drawn { band: number, colours: None, said: Said::of(&band) }),
             }
         }
         let masked = has_mask(path, &frame.rasterband(1).map_err(failed)?)?;
         Ok(Bands { of_frame, alpha, masked })
+    }
+
+    /// Whether bands are colours of one picture, whose pixel is nodata where all of them are: a red that is the number
+    /// of nodata is a colour beside others. Bands of floats have each their own NaN.
+    fn are_one_picture(&self) -> bool {
+        self.alpha.is_some() && self.of_frame.len() > 1
+    }
+}
+
+impl Said {
+    fn of(band: &RasterBand<'_>) -> Said {
+        let scale = Some((band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0))).filter(|s| *s != (1.0, 0.0));
+        Said { name: band.description().unwrap_or_default(), unit: band.unit(), scale }
+    }
+
+    /// Says the same of a band of another file.
+    fn write(&self, path: &Path, band: &mut RasterBand<'_>) -> RasterResult<()> {
+        let failed = |e: gdal::errors::GdalError| RasterError::gdal(path, e);
+        if !self.name.is_empty() {
+            band.set_description(&self.name).map_err(failed)?;
+        }
+        if let Some((factor, summand)) = self.scale {
+            band.set_scale(factor).and_then(|()| band.set_offset(summand)).map_err(failed)?;
+        }
+        if self.unit.is_empty() { Ok(()) } else { set_unit(path, band, &self.unit) }
     }
 }
 
@@ -142,6 +180,10 @@ impl Job<'_> {
         if bands.alpha.is_some() {
             let mut band = dataset.rasterband(form.bands).map_err(|e| RasterError::gdal(plain, e))?;
             band.set_color_interpretation(ColorInterpretation::AlphaBand).map_err(|e| RasterError::gdal(plain, e))?;
+        }
+        for (index, drawn) in bands.of_frame.iter().enumerate() {
+            let mut band = dataset.rasterband(index + 1).map_err(|e| RasterError::gdal(plain, e))?;
+            drawn.said.write(plain, &mut band)?;
         }
         output::produce(
             &self.grid,
@@ -251,23 +293,33 @@ impl Job<'_> {
             }
             false => None,
         };
-        let plane = |drawn: &Drawn| {
+        let is_picture = bands.are_one_picture();
+        // In how many bands a pixel is nodata.
+        let mut empty = vec![0usize; size.0 * size.1];
+        let mut plane = |drawn: &Drawn| -> RasterResult<Plane> {
             let band = frame.rasterband(drawn.band).map_err(failed)?;
             let read: Buffer<f32> = band.read_as(at, size, size, None).map_err(failed)?;
             let nodata = band.no_data_value().map(|v| v as f32);
             let mut values = read.into_shape_and_vec().1;
-            let shown = |v: f32| match &drawn.colours {
-                _ if Some(v) == nodata => f32::NAN,
-                Some(colours) => colours.get(v as usize).copied().unwrap_or(f32::NAN),
-                None => v,
-            };
-            values.iter_mut().for_each(|v| *v = shown(*v));
-            if let Some(there) = &there {
-                values.iter_mut().zip(there.data()).filter(|(_, t)| **t == 0).for_each(|(v, _)| *v = f32::NAN);
+            for (value, empty) in values.iter_mut().zip(&mut empty) {
+                let is_nodata = Some(*value) == nodata;
+                *empty += usize::from(is_nodata);
+                *value = match &drawn.colours {
+                    _ if is_nodata && !is_picture => f32::NAN,
+                    Some(colours) => colours.get(*value as usize).copied().unwrap_or(f32::NAN),
+                    None => *value,
+                };
             }
             Ok(Plane { corner, size, values })
         };
-        bands.of_frame.iter().map(plane).collect()
+        let mut planes = bands.of_frame.iter().map(&mut plane).collect::<RasterResult<Vec<Plane>>>()?;
+        let is_empty =
+            |k: usize| is_picture && empty[k] == planes.len() || there.as_ref().is_some_and(|t| t.data()[k] == 0);
+        let left_out: Vec<usize> = (0..empty.len()).filter(|k| is_empty(*k)).collect();
+        for plane in &mut planes {
+            left_out.iter().for_each(|k| plane.values[*k] = f32::NAN);
+        }
+        Ok(planes)
     }
 }
 

@@ -1,22 +1,18 @@
 //! Where a frame stands over its elevation model, and what ground it sees.
 
+use std::convert::Infallible;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use autoref_cloud::params;
 use autoref_elevation::grid::Grid;
-use autoref_flight::ortho::{Surface, View};
 use autoref_flight::read::tables::Angles;
 use autoref_flight::read::{self, same_image};
 use autoref_flight::world::World;
-use autoref_flight::{Camera, Error, Pose, SizeOf};
+use autoref_flight::{Camera, Pose, SizeOf};
 use autoref_raster::bilinear::by_weights;
-use autoref_raster::bounded;
 use autoref_raster::crs::{Coordinate, Crs};
-use autoref_raster::error::Error as RasterError;
-use autoref_raster::ranks::upper_median;
-use autoref_raster::window::Window;
-use nalgebra::{Matrix2, Matrix3, Vector3};
+use nalgebra::Vector3;
 
 use super::super::{camera_file, camera_tables, lists, set_interior, worlds};
 use super::OrthorectifyArgs;
@@ -117,13 +113,10 @@ fn posed_by_reconstruction(
         bail!("{option} is of a camera table, and {} is a reconstruction; leave it out", file.display());
     }
     let Some(i) = model.find(name) else { bail!("{}: has no frame `{name}`", file.display()) };
-    let text = bounded::read_to_string(file, "cameras", bounded::DOCUMENT_BYTES).unwrap_or_default();
-    let stated = serde_json::from_str::<serde_json::Value>(&text).ok();
-    let crs = stated.and_then(|d| d.get("crs")?.as_str().map(str::to_string));
     // Who names a CRS says that the coordinates are the map's.
     let on_map = args.shift.is_some() || args.crs.is_some() || model_crs.is_none_or(Crs::is_local);
     let about = model.reference_lla.filter(|_| !on_map);
-    let frame = about.map_or_else(|| Frame::Map(args.crs.clone().or(crs)), Frame::Tangent);
+    let frame = about.map_or_else(|| Frame::Map(args.crs.clone().or(model.crs.clone())), Frame::Tangent);
     let mut pose = model.photographs[i].pose;
     if let Some(text) = &args.shift {
         pose.centre += Vector3::from(params::numbers("--shift", text, "E,N,H")?);
@@ -232,7 +225,22 @@ const NODE_PX: f64 = 64.0;
 const NODE_HEIGHT_M: f64 = 1000.0;
 
 impl Lattice {
+    /// # Errors
+    /// Where the grid leaves the map.
     pub fn new(world: &World, grid: &Grid) -> Result<Self> {
+        Self::of_nodes(grid, |place| {
+            world.to_world(place).context("the orthophoto leaves the CRS; give a nearer model")
+        })
+    }
+
+    /// The same; nothing is seen where the grid leaves the map.
+    pub fn reaching_out(world: &World, grid: &Grid) -> Self {
+        let nowhere = Vector3::repeat(f64::NAN);
+        let all = Self::of_nodes(grid, |place| Ok::<_, Infallible>(world.to_world(place).unwrap_or(nowhere)));
+        all.unwrap_or_else(|never| match never {})
+    }
+
+    fn of_nodes<E>(grid: &Grid, to_world: impl Fn([f64; 3]) -> Result<Vector3<f64>, E>) -> Result<Self, E> {
         let count = |n: u64| (n as f64 / NODE_PX).ceil() as usize + 1;
         let (columns, rows) = (count(grid.width), count(grid.height));
         let mut nodes = Vec::with_capacity(columns * rows);
@@ -240,9 +248,7 @@ impl Lattice {
             for i in 0..columns {
                 let x = grid.x0 + grid.step_x * NODE_PX * i as f64;
                 let y = grid.y0 + grid.step_y * NODE_PX * j as f64;
-                let at =
-                    |h: f64| world.to_world([x, y, h]).context("the orthophoto leaves the CRS; give a nearer model");
-                nodes.push([at(0.0)?, at(NODE_HEIGHT_M)?]);
+                nodes.push([to_world([x, y, 0.0])?, to_world([x, y, NODE_HEIGHT_M])?]);
             }
         }
         Ok(Lattice { nodes, columns })
@@ -257,104 +263,5 @@ impl Lattice {
         let node = |k: usize| self.nodes[k][0] * (1.0 - t) + self.nodes[k][1] * t;
         let row = |k: usize| [node(k), node(k + 1)];
         by_weights([row(k), row(k + self.columns)], [a, b])
-    }
-}
-
-/// A frame's camera over the model, in metres of the map.
-pub(super) struct Seer<'a> {
-    world: &'a World,
-    camera: &'a Camera,
-    pose: Pose,
-    eye: [f64; 3],
-    /// Half of the Earth's curvature over lengths of the map, or zero where it is flat.
-    sag: f64,
-    /// From the world's axes to the map's at the camera, and from lengths on the ground to those of the map.
-    to_map: Matrix3<f64>,
-    /// Lengths of the map over those on the ground.
-    scale: f64,
-}
-
-/// The ground that a frame sees.
-pub(super) struct Seen {
-    /// Box of the map, metres.
-    pub bounds: [f64; 4],
-    /// Median size of a pixel across the view, metres of the map.
-    pub across: f64,
-    /// The model below the frame and between it and the camera.
-    pub surface: Surface,
-}
-
-impl<'c> Seer<'c> {
-    /// A camera at a place of the map, in metres as the world has it.
-    pub fn new(world: &'c World, camera: &'c Camera, pose: Pose, eye: [f64; 3]) -> Self {
-        let plan = world.map_scale(eye).unwrap_or_else(Matrix2::identity);
-        let mut stretch = Matrix3::identity();
-        stretch.fixed_view_mut::<2, 2>(0, 0).copy_from(&plan);
-        let axes = world.grid(eye).unwrap_or_else(Matrix3::identity);
-        let area = plan.determinant().abs();
-        let sag = if matches!(world, World::Flat { .. }) { 0.0 } else { 0.5 / 6_371_000.0 / area };
-        Seer { world, camera, pose, eye, sag, to_map: stretch * axes.transpose(), scale: area.sqrt() }
-    }
-
-    pub fn view<'a>(&'a self, surface: &'a Surface) -> View<'a> {
-        let reach = self.camera.reach();
-        View { camera: self.camera, pose: self.pose, eye: self.eye, surface, sag: self.sag, reach }
-    }
-
-    /// The outline from a thinned model, then the model where it matters.
-    pub fn ground(&self, args: &OrthorectifyArgs, dem: &Dem, budget_bytes: u64) -> Result<Seen> {
-        let all = Window::new(0, 0, dem.grid.width, dem.grid.height);
-        let coarse = dem.surface(&args.dem, all, 4_000_000)?;
-        let (bounds, across) = self.footprint(&coarse).ok_or_else(|| {
-            Error::no_result(
-                format!("{}: none of its rays meets {}", args.frame.display(), args.dem.display()),
-                "check the CRS, the camera's position and direction, and the area of the model",
-            )
-        })?;
-        drop(coarse);
-        let (all, eye) = (dem.grid.bounds(), self.eye);
-        let bounds = [bounds[0].max(all[0]), bounds[1].max(all[1]), bounds[2].min(all[2]), bounds[3].min(all[3])];
-        let with_eye = [bounds[0].min(eye[0]), bounds[1].min(eye[1]), bounds[2].max(eye[0]), bounds[3].max(eye[1])];
-        let part = dem.window(with_eye, 4.0);
-        let needed = part.area() * 4;
-        if needed > budget_bytes / 3 {
-            return Err(RasterError::Limit {
-                what: format!("{}: the part between camera and footprint", args.dem.display()),
-                needed,
-                allowed: budget_bytes / 3,
-                remedy: "raise --memory, or thin the model with gdal_translate -outsize".into(),
-            }
-            .into());
-        }
-        Ok(Seen { bounds, across, surface: dem.surface(&args.dem, part, u64::MAX)? })
-    }
-
-    /// Where the frame's rays meet the ground: the box of the map, and the median size of a pixel across the view.
-    fn footprint(&self, surface: &Surface) -> Option<([f64; 4], f64)> {
-        const RAYS: usize = 48;
-        let view = self.view(surface);
-        let mut bounds = [f64::MAX, f64::MAX, f64::MIN, f64::MIN];
-        let mut sizes = Vec::new();
-        let size = view.camera.size_px;
-        let to_ground = self.to_map.try_inverse()?;
-        for j in 0..=RAYS {
-            for i in 0..=RAYS {
-                let pixel = [size[0] * i as f64 / RAYS as f64, size[1] * j as f64 / RAYS as f64];
-                let Some(ray) = view.camera.ray(pixel) else { continue };
-                let d = view.pose.rotation.transpose() * Vector3::from(ray);
-                let Some(at) = view.surface.meets(view.eye, (self.to_map * d).into(), view.sag) else { continue };
-                let distance = (to_ground * (Vector3::from(at) - Vector3::from(view.eye))).norm();
-                // Far away the map's scale and its north are others than at the camera.
-                let there = self.world.to_map(&(view.pose.centre + d * distance)).unwrap_or(at);
-                for at in [at, there] {
-                    bounds = [bounds[0].min(at[0]), bounds[1].min(at[1]), bounds[2].max(at[0]), bounds[3].max(at[1])];
-                }
-                sizes.push(self.scale * distance * ray[2] / view.camera.f_px());
-            }
-        }
-        let middle = upper_median(&mut sizes)?;
-        // Between the rays the outline may reach further.
-        let more = [(bounds[2] - bounds[0]) / RAYS as f64, (bounds[3] - bounds[1]) / RAYS as f64];
-        Some(([bounds[0] - more[0], bounds[1] - more[1], bounds[2] + more[0], bounds[3] + more[1]], middle))
     }
 }
