@@ -284,15 +284,14 @@ fn residuals(rows: &[MatchRow]) -> Vec<Residual> {
     rows.iter().map(|row| Residual { pixel: pixel(row), east_m: row.residual_e_m, north_m: row.residual_n_m }).collect()
 }
 
-/// The middle of the image, or of the marks where the image is not known.
+/// The middle of the image, or of the marks where its size is not known.
 fn middle(result: &RunResult, rows: &[MatchRow]) -> PixelPoint {
     let n = rows.len() as f64;
     let of_marks = || PixelPoint {
         x: rows.iter().map(|row| row.x).sum::<f64>() / n,
         y: rows.iter().map(|row| row.y).sum::<f64>() / n,
     };
-    let of = |side: u64| side as f64 / 2.0;
-    result.image.as_ref().map_or_else(of_marks, |image| PixelPoint { x: of(image.width), y: of(image.height) })
+    result.size_px().map_or_else(of_marks, |(width, height)| PixelPoint { x: width / 2.0, y: height / 2.0 })
 }
 
 #[cfg(test)]
