@@ -27,7 +27,7 @@ const LEAST_IN_PIECES: f64 = 0.34;
 #[derive(Clone, Debug, PartialEq)]
 pub enum Misfit {
     /// A transform of another kind explains most of the residuals, and leaves `left_px` at points that it has not seen.
-    Departs { rmse_px: f64, left_px: f64, worst_px: f64, departure: Departure },
+    Departs { rmse_px: f64, left_px: f64, departure: Departure },
     /// Residuals that neither the marks' centres nor the survey explain.
     Bad { rmse_px: f64, expected_px: f64, worst_px: f64 },
     /// Centres or survey are known no better.
@@ -80,7 +80,7 @@ impl Misfit {
             let written = || Handedness::from(a * d - b * c > 0.0);
             let handedness = run.solution.as_ref().map_or_else(written, |solution| solution.similarity.mirrored);
             if let Some(departure) = Departure::of(&residuals(rows), handedness, middle(result, rows)) {
-                return Some(Misfit::Departs { rmse_px, left_px: departure.left_m / scale, worst_px, departure });
+                return Some(Misfit::Departs { rmse_px, left_px: departure.left_m / scale, departure });
             }
         }
         if rmse_px < LEAST_MISFIT_PX {
@@ -102,9 +102,7 @@ impl Misfit {
     pub fn beyond_px(&self, pixel: PixelPoint, scale_m_per_px: f64) -> f64 {
         match self {
             Misfit::InPieces { off_px, .. } | Misfit::Unlike { off_px, .. } => *off_px,
-            Misfit::Departs { departure, worst_px, .. } => {
-                departure.at_m(pixel).map_or(*worst_px, |off_m| off_m / scale_m_per_px)
-            }
+            Misfit::Departs { departure, .. } => departure.at_m(pixel) / scale_m_per_px,
             Misfit::Bad { worst_px, .. } => *worst_px,
             Misfit::Rough { .. } => 0.0,
         }

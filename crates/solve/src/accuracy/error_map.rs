@@ -118,7 +118,7 @@ impl ErrorModel {
 
 /// The radius that holds 95 of 100 errors, in standard deviations of a coordinate that is estimated with so many
 /// degrees of freedom.
-fn quantile(freedom: f64) -> f64 {
+pub(crate) fn quantile(freedom: f64) -> f64 {
     (freedom * (OUTSIDE.powf(-2.0 / freedom) - 1.0)).sqrt()
 }
 
