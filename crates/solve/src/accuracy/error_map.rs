@@ -168,7 +168,8 @@ pub enum Corner {
 }
 
 impl Corner {
-    const CLOCKWISE: [Corner; 4] = [Corner::UpperLeft, Corner::UpperRight, Corner::LowerRight, Corner::LowerLeft];
+    /// From the upper left.
+    pub const CLOCKWISE: [Corner; 4] = [Corner::UpperLeft, Corner::UpperRight, Corner::LowerRight, Corner::LowerLeft];
 
     /// Where it lies in an image of this size.
     pub fn place(self, (width_px, height_px): (f64, f64)) -> PixelPoint {
