@@ -124,8 +124,11 @@ impl Search<'_> {
 
     /// Whether a rival alone is reason enough to believe neither: something repeats, nearly as unlikely an accident.
     fn is_reason_enough(&self, rival: &Pattern, pattern: &Pattern) -> bool {
-        let (rival_log10, log10) = (rival.log10_false_alarms, pattern.log10_false_alarms);
-        rival_log10 <= REPETITION_LOG10 && rival_log10 - log10 < RUNNER_UP_GAP && !self.same_claim(rival, pattern)
+        let log10 = pattern.log10_false_alarms;
+        let is_near = |rival_log10: f64| rival_log10 <= REPETITION_LOG10 && rival_log10 - log10 < RUNNER_UP_GAP;
+        is_near(rival.log10_false_alarms)
+            && !self.same_claim(rival, pattern)
+            && is_near(self.apart_from(pattern, rival.clone()).log10_false_alarms)
     }
 
     /// The GCPs of the pattern laid on other marks, by pairs of GCPs that the search has not come to.

@@ -373,15 +373,17 @@ impl Found {
             if self.runner_up.as_ref().is_some_and(|r| search.same_claim(r, best)) {
                 self.runner_up = None;
             }
-            if let Some(old) = old.filter(|old| !search.same_claim(old, best))
-                && better(&old, &self.runner_up)
-            {
+            let old = old.filter(|old| !search.same_claim(old, best)).map(|old| search.apart_from(best, old));
+            if let Some(old) = old.filter(|old| better(old, &self.runner_up)) {
                 self.runner_up = Some(old);
             }
-        } else if self.best.as_ref().is_some_and(|best| !search.same_claim(best, &pattern))
+        } else if let Some(best) = self.best.as_ref().filter(|best| !search.same_claim(best, &pattern))
             && better(&pattern, &self.runner_up)
         {
-            self.runner_up = Some(pattern);
+            let rival = search.apart_from(best, pattern);
+            if better(&rival, &self.runner_up) {
+                self.runner_up = Some(rival);
+            }
         }
     }
 }

@@ -57,9 +57,8 @@ impl Search<'_> {
         noise_px: f64,
     ) -> Option<(Pattern, Vec<Taken>)> {
         let gcps_in_image = self.gcps.iter().filter(|g| self.field.contains(similarity.invert(**g))).count();
-        // Three or four that agree more closely than marks are centred are as many parts of marks.
-        let levels_px = if pairs.len() >= FEWEST_NEAR { &LEVELS_PX[..] } else { &LEVELS_PX[1..] };
-        let bases = self.longest(&pairs, bases_for(gcps_in_image));
+        let levels_px = levels_for(pairs.len());
+        let bases = self.longest(&pairs, bases_for(gcps_in_image), |_| true);
         let first = self.strongest(&of_every_length(&bases), levels_of(noise_px))?;
         let is_hopeless = first.log10_false_alarms > HOPELESS_LOG10;
         let strongest = if is_hopeless { first } else { self.strongest(&bases, levels_px)? };
@@ -82,6 +81,23 @@ impl Search<'_> {
         Some((pattern, going_by))
     }
 
+    /// A rival with the evidence that is its own. Two pairs that it shares with `best`, taken as a base, predict what
+    /// `best` does, and find its marks: that speaks for `best` alone.
+    pub(super) fn apart_from(&self, best: &Pattern, rival: Pattern) -> Pattern {
+        let is_shared = |pair: &Taken| best.pairs.contains(pair);
+        if rival.pairs.iter().filter(|pair| is_shared(pair)).count() < 2 {
+            return rival;
+        }
+        let most = bases_for(rival.gcps_in_image);
+        let bases = self.longest(&rival.pairs, most, |ends| !ends.iter().all(is_shared));
+        let own = self.strongest(&bases, levels_for(rival.pairs.len()));
+        let log10 = own.map_or(0.0, |own| match rival.pairs.len() < FEWEST_NEAR {
+            true => own.log10_whole_false_alarms,
+            false => own.log10_false_alarms,
+        });
+        Pattern { log10_false_alarms: log10.max(rival.log10_false_alarms), ..rival }
+    }
+
     /// The strongest evidence by these bases at these tolerances; `None` where the GCPs of each are one place.
     fn strongest(&self, bases: &[[Taken; 2]], levels_px: &[f64]) -> Option<Strongest> {
         let mut best: Option<Strongest> = None;
@@ -98,8 +114,8 @@ impl Search<'_> {
         best.map(|best| Strongest { log10_whole_false_alarms: whole, ..best })
     }
 
-    /// The pairs of a pattern that lie farthest apart, the longest first, at most so many.
-    fn longest(&self, pairs: &[Taken], most: usize) -> Vec<[Taken; 2]> {
+    /// The pairs of a pattern that lie farthest apart, of those that may be taken, the longest first, at most so many.
+    fn longest(&self, pairs: &[Taken], most: usize, may: impl Fn(&[Taken; 2]) -> bool) -> Vec<[Taken; 2]> {
         let points = self.field.points();
         let mut longest: Vec<(f64, usize, usize)> = Vec::new();
         for i in 0..pairs.len() {
@@ -109,7 +125,7 @@ impl Search<'_> {
             }
         }
         longest.sort_by(|s, t| t.0.total_cmp(&s.0).then((s.1, s.2).cmp(&(t.1, t.2))));
-        longest.into_iter().take(most).map(|(_, i, j)| [pairs[i], pairs[j]]).collect()
+        longest.into_iter().map(|(_, i, j)| [pairs[i], pairs[j]]).filter(may).take(most).collect()
     }
 
     /// `None` where the two GCPs are one place.
@@ -138,6 +154,12 @@ impl Search<'_> {
         evidence.reverse();
         evidence
     }
+}
+
+/// Tolerances for so many pairs: three or four that agree more closely than marks are centred are as many parts of
+/// marks.
+fn levels_for(pairs: usize) -> &'static [f64] {
+    if pairs >= FEWEST_NEAR { &LEVELS_PX[..] } else { &LEVELS_PX[1..] }
 }
 
 /// A few bases of every length.

@@ -29,6 +29,9 @@ pub struct ColourSearch {
     pub objects: usize,
     /// The clusters tried, the largest first.
     pub clusters: Vec<ColourCluster>,
+    /// Clusters that the user's size or rules left out, when nothing else solved it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<LeftOut>,
     /// Seconds, scan and matching.
     pub elapsed_s: f64,
 }
@@ -44,14 +47,35 @@ pub struct ColourCluster {
     pub adopted: bool,
 }
 
+/// Objects of one colour that a size or a rule of the user's forbids.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LeftOut {
+    /// Their median, as #RRGGBB.
+    pub colour: String,
+    pub objects: usize,
+    /// Smallest and largest side, pixels.
+    pub side_px: [f64; 2],
+    /// The options that left them out, as they were given.
+    pub options: String,
+}
+
+impl LeftOut {
+    fn line(&self) -> String {
+        let LeftOut { colour, objects, side_px: [low, high], options } = self;
+        format!(
+            "{objects} objects of colour {colour} of {low:.0} to {high:.0} px look like marks; {options} left them out"
+        )
+    }
+}
+
+/// How many clusters advice names.
+const NAMED: usize = 3;
+
 impl ColourSearch {
     /// What to try next, of clusters that look like marks, the most vivid first: grass and earth come in many objects,
     /// paint is bright. Not the paint that `profile` was asked for.
     pub fn advice(&self, profile: &str) -> Vec<String> {
-        let asked = srgb_of_hex(profile).map(place);
-        let is_new = |c: &&ColourCluster| {
-            asked.zip(srgb_of_hex(&c.colour)).is_none_or(|(asked, own)| (place(own) - asked).norm() >= NEAR)
-        };
+        let is_new = |c: &&ColourCluster| is_new(&c.colour, profile);
         if self.clusters.iter().any(|cluster| cluster.adopted) {
             return Vec::new();
         }
@@ -60,17 +84,30 @@ impl ColourSearch {
         };
         let mut new: Vec<&ColourCluster> = self.clusters.iter().filter(is_new).collect();
         new.sort_by(|s, t| chroma(&t.colour).total_cmp(&chroma(&s.colour)));
-        new.into_iter().take(3).map(line).collect()
+        let mut left_out: Vec<&LeftOut> = self.left_out.iter().collect();
+        left_out.sort_by(|s, t| chroma(&t.colour).total_cmp(&chroma(&s.colour)));
+        let forbidden = left_out.into_iter().take(NAMED).map(LeftOut::line);
+        forbidden.chain(new.into_iter().take(NAMED).map(line)).collect()
     }
 
-    /// That the marks are of another paint.
-    pub fn note(&self) -> Option<String> {
-        let found = self.clusters.iter().find(|cluster| cluster.adopted)?;
-        Some(format!(
-            "the marks are of colour {}, not the profile's: next time name it, --paint \"{}\"",
-            found.colour, found.colour
-        ))
+    /// That the marks are of another paint than `profile`'s, or of this, told from the rest by the search alone.
+    pub fn note(&self, profile: &str) -> Option<String> {
+        let ColourCluster { colour, .. } = self.clusters.iter().find(|cluster| cluster.adopted)?;
+        Some(if is_new(colour, profile) {
+            format!("the marks are of colour {colour}, not the profile's: next time name it, --paint \"{colour}\"")
+        } else {
+            format!(
+                "the marks are of the paint that was asked for, but only the search over colours ({colour}) told them \
+                 from the rest: look at their pictures in the report"
+            )
+        })
     }
+}
+
+/// Whether a colour is another than the paint that was asked for.
+fn is_new(colour: &str, profile: &str) -> bool {
+    let places = srgb_of_hex(profile).zip(srgb_of_hex(colour));
+    places.is_none_or(|(asked, own)| (place(own) - place(asked)).norm() >= NEAR)
 }
 
 /// Looks for marks of any colour and tries each cluster; the run that solves comes back, else the first.
@@ -79,25 +116,26 @@ impl ColourSearch {
 /// When the raster cannot be read.
 pub fn colour_search(job: &Job<'_>, first: Run) -> Result<(Run, Option<ColourSearch>)> {
     let started = std::time::Instant::now();
-    let Ok(detector) = MarkDetector::new(Profile::any_paint(), job.source.info(), None) else {
+    let (profile, info) = (job.asked.of(Profile::any_paint()), job.source.info());
+    let Ok(detector) = MarkDetector::new(profile, info, job.asked.gsd_m) else {
         return Ok((first, None));
     };
     job.progress.pass("looking for marks of any colour");
     let seen = scan(job.source, job.plan, detector.as_detector(), job.progress)?;
-    let mut search = ColourSearch { objects: seen.candidates.len(), clusters: Vec::new(), elapsed_s: 0.0 };
+    let objects = seen.candidates.len();
+    let mut search = ColourSearch { objects, clusters: Vec::new(), left_out: Vec::new(), elapsed_s: 0.0 };
     let mut solved = None;
     for members in clusters(&seen.candidates).into_iter().take(MOST_CLUSTERS) {
         let mut candidates: Vec<Candidate> = members.iter().map(|&i| seen.candidates[i].clone()).collect();
         let colour = median_colour(&candidates);
         keep_strongest(&mut candidates, job.gcps.len());
-        let [r, g, b] = colour;
         let outcome = oriented(job, &candidates, colour)?;
         let matched = match &outcome {
             Some(Outcome::Solved(orientation)) => orientation.marks.len() + orientation.check_marks.len(),
             _ => 0,
         };
         let (objects, adopted) = (members.len(), matched > 0);
-        search.clusters.push(ColourCluster { colour: format!("#{r:02X}{g:02X}{b:02X}"), objects, matched, adopted });
+        search.clusters.push(ColourCluster { colour: hex(colour), objects, matched, adopted });
         if let Some(outcome) = outcome.filter(|_| adopted) {
             solved = Some(Run {
                 scan: ScanOutcome { candidates, ..seen.clone() },
@@ -108,16 +146,42 @@ pub fn colour_search(job: &Job<'_>, first: Run) -> Result<(Run, Option<ColourSea
             break;
         }
     }
+    if solved.is_none() && job.asked.is_something() && matches!(first.outcome, Outcome::Refused(_)) {
+        search.left_out = left_out(job, &seen.candidates)?;
+    }
     search.elapsed_s = started.elapsed().as_secs_f64();
     Ok((solved.unwrap_or(first), Some(search)))
+}
+
+/// What looks like marks, were it not for the user's size and rules; `allowed` is what these let pass.
+fn left_out(job: &Job<'_>, allowed: &[Candidate]) -> Result<Vec<LeftOut>> {
+    /// The same object, seen twice.
+    const SAME_PX: f64 = 3.0;
+    let Ok(detector) = MarkDetector::new(Profile::any_paint(), job.source.info(), None) else { return Ok(Vec::new()) };
+    job.progress.pass("looking for marks that the size or a rule leaves out");
+    let mut seen = scan(job.source, job.plan, detector.as_detector(), job.progress)?.candidates;
+    let is_same = |a: &Candidate, b: &Candidate| (a.centre.x - b.centre.x).hypot(a.centre.y - b.centre.y) < SAME_PX;
+    seen.retain(|candidate| !allowed.iter().any(|other| is_same(candidate, other)));
+    let of = |members: Vec<usize>| {
+        let objects: Vec<Candidate> = members.iter().map(|&i| seen[i].clone()).collect();
+        let sides = || objects.iter().filter_map(|c| c.size_px.map(|[width, height]| width.max(height)));
+        let side_px = [sides().fold(f64::INFINITY, f64::min), sides().fold(0.0, f64::max)];
+        let colour = hex(median_colour(&objects));
+        LeftOut { colour, objects: objects.len(), side_px, options: job.asked.options.join(" or ") }
+    };
+    Ok(clusters(&seen).into_iter().map(of).filter(|cluster| cluster.side_px[0].is_finite()).collect())
+}
+
+fn hex([r, g, b]: [u8; 3]) -> String {
+    format!("#{r:02X}{g:02X}{b:02X}")
 }
 
 /// The orientation by a cluster, its missing points looked for with what it teaches; `None` when refused.
 fn oriented(job: &Job<'_>, candidates: &[Candidate], colour: [u8; 3]) -> Result<Option<Outcome>> {
     let MatchOutcome::Solved(solved) = find(job, candidates) else { return Ok(None) };
     let teachers = strongest(solved.pattern.pairs.iter().map(|pair| &candidates[pair.0]));
-    let profile = taught(job.source, &teachers)?.unwrap_or_else(|| Profile::of_paint(colour));
-    let Ok(detector) = MarkDetector::new(profile, job.source.info(), None) else { return Ok(None) };
+    let profile = taught(job, &teachers)?.unwrap_or_else(|| job.asked.of(Profile::of_paint(colour)));
+    let Ok(detector) = MarkDetector::new(profile, job.source.info(), job.asked.gsd_m) else { return Ok(None) };
     let refiner = detector.relaxed();
     let job = Job { refiner: refiner.as_detector(), ..*job };
     let outcome = orient_again(&job, candidates, *solved, refiner.as_detector())?;
@@ -179,13 +243,31 @@ mod tests {
     #[test]
     fn nobody_is_sent_to_the_paint_that_was_asked_for() {
         let cluster = |colour: &str| ColourCluster { colour: colour.into(), objects: 20, matched: 0, adopted: false };
-        let search =
-            ColourSearch { objects: 40, clusters: vec![cluster("#2A4363"), cluster("#C83232")], elapsed_s: 0.0 };
+        let search = ColourSearch {
+            objects: 40,
+            clusters: vec![cluster("#2A4363"), cluster("#C83232")],
+            left_out: Vec::new(),
+            elapsed_s: 0.0,
+        };
         let advice = search.advice("orange");
         assert!(advice.len() == 2 && advice[0].contains("#C83232"), "the most vivid first: {advice:?}");
         for asked in ["#2A4363", "#2C4564"] {
             let advice = search.advice(asked);
             assert!(advice.len() == 1 && advice[0].contains("#C83232"), "{advice:?}");
         }
+    }
+
+    #[test]
+    fn what_the_user_forbids_is_said_first_and_the_paint_that_he_named_is_not_told_him_anew() {
+        let options = "--mark-size 30..50px".into();
+        let left_out = LeftOut { colour: "#DF5918".into(), objects: 12, side_px: [10.0, 16.0], options };
+        let cluster = ColourCluster { colour: "#2A4363".into(), objects: 9, matched: 0, adopted: false };
+        let mut search = ColourSearch { objects: 9, clusters: vec![cluster], left_out: vec![left_out], elapsed_s: 0.0 };
+        let advice = search.advice("#DF5918");
+        let said = "12 objects of colour #DF5918 of 10 to 16 px look like marks; --mark-size 30..50px left them out";
+        assert!(advice.len() == 2 && advice[0] == said, "{advice:?}");
+        search.clusters[0].adopted = true;
+        let note = |profile: &str| search.note(profile).expect("adopted");
+        assert!(note("orange").contains("--paint \"#2A4363\"") && !note("#2C4564").contains("--paint"));
     }
 }

@@ -12,6 +12,7 @@ use crate::matching::diagnosis::{Diagnosis, GrossErrors, KnownPlace};
 use crate::matching::doubtful::{Ground, doubtful_far};
 use crate::matching::field::Field;
 use crate::matching::{Evidence, Labels, MatchOutcome, Matcher, Priors, RobustMatcher, Solved, TimeLimit};
+use crate::pipeline::asked::Asked;
 use crate::pipeline::{Progress, ScanOutcome, scan};
 use crate::rematch::{Expected, Free, Refinement, is_inside, one_gcp_each, rematch};
 use autoref_raster::RasterSource;
@@ -33,6 +34,8 @@ pub struct Job<'a> {
     pub priors: &'a [Priors],
     pub progress: &'a dyn Progress,
     pub refine: Refine,
+    /// Holds for marks of any paint.
+    pub asked: &'a Asked,
 }
 
 impl Job<'_> {

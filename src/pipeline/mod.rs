@@ -29,6 +29,7 @@
 //! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
+pub mod asked;
 mod bright_paint;
 pub mod colour_search;
 pub mod georeference;

@@ -107,7 +107,7 @@ impl SecondPass {
 pub fn second_pass(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>)> {
     job.progress.stage("learning the marks' colours");
     let (taught_by, positions) = teachers(&first);
-    let Some(profile) = taught(job.source, &positions)? else { return Ok((first, None)) };
+    let Some(profile) = taught(job, &positions)? else { return Ok((first, None)) };
     let Ok(detector) = MarkDetector::new(profile.clone(), job.source.info(), None) else { return Ok((first, None)) };
     let relaxed = detector.relaxed();
     if matches!(first.outcome, Outcome::Refused(_)) && is_of_ground(job.source, detector.as_detector())? {
@@ -152,7 +152,7 @@ pub fn look_closer(job: &Job<'_>, first: Run) -> Result<(Run, Option<SecondPass>
         return Ok((first, None));
     }
     let (taught_by, positions) = teachers(&first);
-    let Some(profile) = taught(job.source, &positions)? else { return Ok((first, None)) };
+    let Some(profile) = taught(job, &positions)? else { return Ok((first, None)) };
     let Ok(detector) = MarkDetector::new(profile.clone(), job.source.info(), None) else { return Ok((first, None)) };
     let relaxed = detector.relaxed();
     let outcome = orient_again(job, &first.scan.candidates, orientation.evidence.clone(), relaxed.as_detector())?;
@@ -251,11 +251,12 @@ pub(super) fn strongest<'a>(marks: impl Iterator<Item = &'a Candidate>) -> Vec<P
     marks.iter().take(MOST_TEACHERS).map(|c| c.centre).collect()
 }
 
-/// A profile of those positions that stand out enough to teach; `None` when none does.
-pub(super) fn taught(source: &dyn RasterSource, positions: &[PixelPoint]) -> Result<Option<Profile>> {
+/// A profile of those positions that stand out enough to teach, with the rules that the user gave; `None` when none
+/// does.
+pub(super) fn taught(job: &Job<'_>, positions: &[PixelPoint]) -> Result<Option<Profile>> {
     /// No mark that nobody pointed at scores less (four less where a point must be): bare ground beside a speck does.
     const LEAST_SCORE: f64 = -12.0;
-    let bounds = source.info().bounds();
+    let bounds = job.source.info().bounds();
     let mut marks: Vec<(Patch, PixelPoint)> = Vec::new();
     for &at in positions {
         let (x, y) = (at.x.max(0.0) as u64, at.y.max(0.0) as u64);
@@ -263,12 +264,12 @@ pub(super) fn taught(source: &dyn RasterSource, positions: &[PixelPoint]) -> Res
             continue;
         }
         let window = Window::new(x, y, 1, 1).grown(DEFAULT_REACH_PX, &bounds);
-        let mark = (read_patch(source, window)?, at);
+        let mark = (read_patch(job.source, window)?, at);
         if learn("second pass", std::slice::from_ref(&mark)).is_ok() {
             marks.push(mark);
         }
     }
-    let mut taught = learn("second pass", &marks).ok();
+    let mut taught = learn("second pass", &marks).ok().map(|profile| job.asked.ruled(profile));
     if let Some(profile) = &mut taught {
         profile.examine.min_score = profile.examine.min_score.max(LEAST_SCORE);
     }

@@ -3,8 +3,9 @@
 use autoref_raster::coords::{Handedness, PixelPoint};
 use autoref_raster::ranks::upper_median;
 
-use super::{ChosenModel, MatchRow, RunResult, Twins};
+use super::{ChosenModel, MatchRow, RunResult, SolvedRun, Twins};
 use crate::candidate::Candidate;
+use autoref_solve::accuracy::error_map::Corner;
 use autoref_solve::departure::{Departure, Residual, Shape};
 
 /// A survey whose σ nobody states is this good, metres.
@@ -13,7 +14,8 @@ const USUAL_SURVEY_M: f64 = 0.02;
 const TIMES: f64 = 3.0;
 /// Less is no misfit, pixels: orthophotos are hardly truer.
 pub const LEAST_MISFIT_PX: f64 = 2.0;
-/// Residuals from which a stretched image is told, pixels.
+/// A stretch or a bend is told from so many pixels on, of the residuals or at a corner: residuals of tenths go with
+/// corners that are ten times as far off.
 const LEAST_STRETCH_PX: f64 = 0.5;
 /// From a part to the middle of its mark, as a share of the way to the farthest part; with a little to spare.
 const HALF_WAY: f64 = 0.6;
@@ -27,7 +29,8 @@ const LEAST_IN_PIECES: f64 = 0.34;
 #[derive(Clone, Debug, PartialEq)]
 pub enum Misfit {
     /// A transform of another kind explains most of the residuals, and leaves `left_px` at points that it has not seen.
-    Departs { rmse_px: f64, left_px: f64, worst_px: f64, departure: Departure },
+    /// `corner_px` is how far it puts a corner from where the written one has it, at most.
+    Departs { rmse_px: f64, left_px: f64, corner_px: f64, departure: Departure },
     /// Residuals that neither the marks' centres nor the survey explain.
     Bad { rmse_px: f64, expected_px: f64, worst_px: f64 },
     /// Centres or survey are known no better.
@@ -75,13 +78,8 @@ impl Misfit {
         }
         let rmse_px = residual_rms_px(rows.iter().map(|row| row.residual_px), taken);
         let worst_px = rows.iter().map(|row| row.residual_px).fold(0.0, f64::max);
-        if !is_affine && rmse_px >= LEAST_STRETCH_PX {
-            let [_, a, b, _, c, d] = run.geotransform.0;
-            let written = || Handedness::from(a * d - b * c > 0.0);
-            let handedness = run.solution.as_ref().map_or_else(written, |solution| solution.similarity.mirrored);
-            if let Some(departure) = Departure::of(&residuals(rows), handedness, middle(result, rows)) {
-                return Some(Misfit::Departs { rmse_px, left_px: departure.left_m / scale, worst_px, departure });
-            }
+        if !is_affine && let Some(departs) = departs(result, run, rmse_px) {
+            return Some(departs);
         }
         if rmse_px < LEAST_MISFIT_PX {
             return None;
@@ -102,9 +100,7 @@ impl Misfit {
     pub fn beyond_px(&self, pixel: PixelPoint, scale_m_per_px: f64) -> f64 {
         match self {
             Misfit::InPieces { off_px, .. } | Misfit::Unlike { off_px, .. } => *off_px,
-            Misfit::Departs { departure, worst_px, .. } => {
-                departure.at_m(pixel).map_or(*worst_px, |off_m| off_m / scale_m_per_px)
-            }
+            Misfit::Departs { departure, .. } => departure.at_m(pixel) / scale_m_per_px,
             Misfit::Bad { worst_px, .. } => *worst_px,
             Misfit::Rough { .. } => 0.0,
         }
@@ -118,19 +114,17 @@ impl Misfit {
     /// What is to be said against the fit, as a part of a sentence.
     pub fn clause(&self) -> String {
         match self {
-            Misfit::Departs { rmse_px, left_px, departure, .. } => match departure.shape {
-                Shape::Stretched => format!(
-                    "the image is stretched or sheared in the CRS of the fit: residuals of {rmse_px:.1} px, {left_px:.1} px \
-                     with --model affine"
-                ),
-                Shape::Domed => format!(
-                    "the image is bent as by a lens: residuals of {rmse_px:.1} px, {left_px:.1} px with a bend that grows \
-                     outwards"
-                ),
-                Shape::Bent => format!(
-                    "the image is bent: residuals of {rmse_px:.1} px, {left_px:.1} px with a bend of the second degree"
-                ),
-            },
+            Misfit::Departs { rmse_px, left_px, corner_px, departure, .. } => {
+                let (what, with) = match departure.shape {
+                    Shape::Stretched => ("stretched or sheared in the CRS of the fit", "--model affine"),
+                    Shape::Domed => ("bent as by a lens", "a bend that grows outwards"),
+                    Shape::Bent => ("bent", "a bend of the second degree"),
+                };
+                let (rmse, left, corner) = (few(*rmse_px), few(*left_px), few(*corner_px));
+                format!(
+                    "the image is {what}: residuals of {rmse} px, {left} px with {with}, and up to {corner} px in the corners"
+                )
+            }
             Misfit::Bad { rmse_px, .. } => {
                 format!("the points fit badly ({rmse_px:.1} px): do not trust it before you know why")
             }
@@ -153,16 +147,18 @@ impl Misfit {
     pub fn note(&self) -> String {
         let parts = "parts of marks were measured (unless it is named already, name their paint with --paint, or their --profile)";
         match self {
-            Misfit::Departs { rmse_px, left_px, departure, .. } => match departure.shape {
-                Shape::Stretched => format!(
-                    "the points fit a similarity to {rmse_px:.1} px and an affine transform to {left_px:.1} px: the image \
-                     is no true orthophoto; make it anew, or take --model affine"
-                ),
-                Shape::Domed | Shape::Bent => format!(
-                    "the points fit a similarity to {rmse_px:.1} px and a bent image to {left_px:.1} px: the image is no \
-                     true orthophoto; make it anew with GCPs in the adjustment. Expected errors count the bend"
-                ),
-            },
+            Misfit::Departs { rmse_px, left_px, departure, .. } => {
+                let (what, remedy) = match departure.shape {
+                    Shape::Stretched => ("an affine transform", "make it anew, or take --model affine"),
+                    Shape::Domed | Shape::Bent => {
+                        ("a bent image", "make it anew with GCPs in the adjustment. Expected errors count the bend")
+                    }
+                };
+                let (rmse, left) = (few(*rmse_px), few(*left_px));
+                format!(
+                    "the points fit a similarity to {rmse} px and {what} to {left} px: the image is no true orthophoto; {remedy}"
+                )
+            }
             Misfit::Bad { rmse_px, expected_px, .. } => format!(
                 "residuals of {rmse_px:.1} px where marks and survey let expect {expected_px:.1} px: {parts}, coordinates \
                  of the list are wrong, or the image is bent"
@@ -191,6 +187,26 @@ impl Misfit {
             ),
         }
     }
+}
+
+/// Pixels with one digit behind the point, below one with two.
+fn few(px: f64) -> String {
+    if px < 0.95 { format!("{px:.2}") } else { format!("{px:.1}") }
+}
+
+/// Whether the image is stretched or bent, by residuals or at a corner that may lie far beyond the marks.
+fn departs(result: &RunResult, run: &SolvedRun, rmse_px: f64) -> Option<Misfit> {
+    let (rows, scale) = (&run.matches, run.fit.scale_m_per_px);
+    let [_, a, b, _, c, d] = run.geotransform.0;
+    let written = || Handedness::from(a * d - b * c > 0.0);
+    let handedness = run.solution.as_ref().map_or_else(written, |solution| solution.similarity.mirrored);
+    let departure = Departure::of(&residuals(rows), handedness, middle(result, rows))?;
+    let size_px = result.extent_px();
+    let corners_m = Corner::CLOCKWISE.map(|corner| departure.at_m(corner.place(size_px)));
+    let corner_px = corners_m.into_iter().fold(0.0, f64::max) / scale;
+    let left_px = departure.left_m / scale;
+    let is_worth_saying = rmse_px.max(corner_px) >= LEAST_STRETCH_PX;
+    is_worth_saying.then_some(Misfit::Departs { rmse_px, left_px, corner_px, departure })
 }
 
 /// Of the matched marks of which a part may have been measured, how far that may be from their middle, pixels: another
@@ -284,15 +300,14 @@ fn residuals(rows: &[MatchRow]) -> Vec<Residual> {
     rows.iter().map(|row| Residual { pixel: pixel(row), east_m: row.residual_e_m, north_m: row.residual_n_m }).collect()
 }
 
-/// The middle of the image, or of the marks where the image is not known.
+/// The middle of the image, or of the marks where its size is not known.
 fn middle(result: &RunResult, rows: &[MatchRow]) -> PixelPoint {
     let n = rows.len() as f64;
     let of_marks = || PixelPoint {
         x: rows.iter().map(|row| row.x).sum::<f64>() / n,
         y: rows.iter().map(|row| row.y).sum::<f64>() / n,
     };
-    let of = |side: u64| side as f64 / 2.0;
-    result.image.as_ref().map_or_else(of_marks, |image| PixelPoint { x: of(image.width), y: of(image.height) })
+    result.size_px().map_or_else(of_marks, |(width, height)| PixelPoint { x: width / 2.0, y: height / 2.0 })
 }
 
 #[cfg(test)]

@@ -294,6 +294,21 @@ impl RunResult {
         self.solved().map(|solved| solved.geotransform)
     }
 
+    /// Width and height of the image, pixels: as it was read, or as `--size` gave them. `None` of candidates alone.
+    pub fn size_px(&self) -> Option<(f64, f64)> {
+        // What was asked is on record, for a replay too.
+        let asked = || serde_json::from_value(self.options.pointer("/priors/image_size_px")?.clone()).ok();
+        self.image.as_ref().map(|image| (image.width as f64, image.height as f64)).or_else(asked)
+    }
+
+    /// Likewise; without an image, how far the candidates reach.
+    pub fn extent_px(&self) -> (f64, f64) {
+        self.size_px().unwrap_or_else(|| {
+            let reach = |(w, h): (f64, f64), c: &Candidate| (w.max(c.centre.x), h.max(c.centre.y));
+            self.candidates.iter().fold((1.0, 1.0), reach)
+        })
+    }
+
     /// Control points with their marks; none when the run was refused.
     pub fn matches(&self) -> &[MatchRow] {
         self.solved().map_or(&[], |solved| &solved.matches)

@@ -162,3 +162,58 @@ fn nearly_regular_rows_are_told_by_how_closely_they_fit() {
     }
     assert!(solved >= 18, "{solved} of 20");
 }
+
+/// Eight marks, twenty other candidates, one coordinate 0.2 m wrong. A pattern of four has two of the marks where they
+/// are; as a base these two find the other six, which speaks for the eight alone.
+#[test]
+fn marks_of_the_best_pattern_do_not_speak_for_a_rival() {
+    let marks = [
+        (2048.3, 1786.7),
+        (2452.5, 1783.1),
+        (2822.5, 943.6),
+        (652.2, 2059.7),
+        (483.0, 760.2),
+        (444.1, 1631.9),
+        (1537.0, 1259.1),
+        (2490.9, 2010.2),
+    ];
+    let others = [
+        (1061.1, 211.6),
+        (1945.7, 142.4),
+        (39.1, 43.7),
+        (2645.5, 931.7),
+        (1525.9, 714.1),
+        (2371.5, 1169.5),
+        (517.8, 658.5),
+        (2128.7, 1741.6),
+        (132.9, 1377.0),
+        (578.6, 733.1),
+        (749.6, 940.0),
+        (2499.7, 750.2),
+        (832.6, 1006.6),
+        (1559.4, 1208.3),
+        (2024.5, 1504.4),
+        (813.1, 1902.1),
+        (1901.1, 613.8),
+        (206.0, 1796.8),
+        (557.9, 1075.9),
+        (1570.8, 1021.6),
+    ];
+    let points = [
+        (26.32, 34.93),
+        (14.67, 31.52),
+        (10.83, 4.26),
+        (64.40, 54.16),
+        (79.86, 18.03),
+        (73.77, 43.35),
+        (45.37, 23.83),
+        (11.71, 37.76),
+    ];
+    let candidates: Vec<Candidate> = marks.iter().chain(&others).map(|(x, y)| bare_candidate(*x, *y)).collect();
+    let gcps = list(points.map(|(easting, northing)| MapPoint { easting, northing }));
+    let priors = Priors { image_size_px: Some((3000.0, 2200.0)), ..Priors::default() };
+    let MatchOutcome::Solved(solved) = RobustMatcher::default().find(&candidates, &gcps, &priors) else {
+        panic!("eight of eight were refused")
+    };
+    assert_eq!(solved.pattern.pairs, (0..8).map(|i| (i, i)).collect::<Vec<_>>());
+}

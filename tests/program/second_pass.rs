@@ -48,6 +48,22 @@ fn a_second_pass_is_reported_and_never_worse() {
     assert!(colour[0] > 0.6 && colour[2] < 0.4, "{colour:?}");
 }
 
+/// Marks of 14 px. What the user forbids is not taken by the search over colours either; the refusal names it.
+#[test]
+fn a_size_and_a_rule_hold_in_the_search_over_colours_too() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    sample(folder.path());
+    for forbidding in [["--mark-size", "100"], ["--gate", "area > 5000"]] {
+        let result = run(folder.path(), &[&["--paint", "#FF6E14", "--no-report"], &forbidding[..]].concat());
+        assert_eq!(result["status"], "refused", "{forbidding:?}");
+        let advice = result["advice"].as_array().expect("advice");
+        let said = |line: &Value| line.as_str().is_some_and(|line| line.contains(forbidding[0]));
+        assert!(advice.iter().any(|line| said(line) && line.to_string().contains("left them out")), "{advice:?}");
+        let left_out = &result["colour_search"]["left_out"][0];
+        assert!(left_out["objects"].as_u64().is_some_and(|n| n >= 8), "{left_out}");
+    }
+}
+
 /// What no evidence would satisfy stays refused; the second pass runs by itself and says what it did.
 #[test]
 fn a_refusal_is_followed_by_a_second_pass() {

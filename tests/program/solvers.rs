@@ -424,6 +424,39 @@ fn a_verdict_says_when_points_do_not_fit_as_those_of_an_orthophoto() {
     assert!(line.contains("agree with each other"), "{line}");
 }
 
+/// A lens bends by the cube of the distance from the image's middle: what leaves tenths of a pixel between marks near
+/// the middle takes corners many pixels away. Whoever states the size has a middle, also where the marks have another.
+#[test]
+fn a_bend_of_tenths_is_told_by_what_it_does_to_the_corners() {
+    // Marks lie in columns 100 to 4100 and rows 100 to 3100; the corner off most is that at (6000, 4400).
+    let lens = |k: f64| {
+        move |x: f64, y: f64| {
+            let [u, v] = [(x - 3000.0) / 3000.0, (y - 2200.0) / 3000.0];
+            let wiggle = [0.02 * (x * 0.37 + y).sin(), 0.02 * (y * 0.53 - x).cos()];
+            [k * u * (u * u + v * v) + wiggle[0], k * v * (u * u + v * v) + wiggle[1]]
+        }
+    };
+    let size = ["--size", "6000,4400"];
+    for k in [1.0, 3.0] {
+        let (line, result) = verdict_by(&size, lens(k));
+        assert!(line.contains("bent as by a lens"), "{k}: {line}");
+        assert!(k > 1.0 || result["rmse_px"].as_f64().is_some_and(|rmse| rmse < 0.5), "{}", result["rmse_px"]);
+        let transform: Vec<f64> = serde_json::from_value(result["geotransform"].clone()).expect("six numbers");
+        let [x, y] = [6000.0, 4400.0];
+        let [dx, dy] = lens(k)(x, y);
+        // The corner of the bent image is this place of the ground.
+        let true_m = [600_000.0 + 0.05 * x, 5_800_000.0 - 0.05 * y];
+        let at = |row: usize| transform[row] + transform[row + 1] * (x + dx) + transform[row + 2] * (y + dy);
+        let off_m = (at(0) - true_m[0]).hypot(at(3) - true_m[1]);
+        let corners = result["expected_errors"].as_array().expect("corners");
+        let stated = corners.iter().find(|corner| corner["corner"] == "lower-right").expect("all four");
+        let stated_m = stated["transform_95_m"].as_f64().expect("known");
+        assert!((off_m..3.0 * off_m).contains(&stated_m), "{k}: {off_m} m off, {stated_m} m stated");
+    }
+    let (line, _) = verdict_by(&size, lens(0.0));
+    assert!(line.contains("agree with each other"), "{line}");
+}
+
 #[test]
 fn two_points_of_one_name_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");

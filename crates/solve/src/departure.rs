@@ -2,6 +2,7 @@
 
 use nalgebra::{Complex, DMatrix, DVector, RowDVector};
 
+use crate::accuracy::error_map::quantile;
 use crate::variance_ratio::chance_of_share;
 use autoref_raster::coords::{Handedness, PixelPoint};
 
@@ -59,6 +60,40 @@ pub struct Departure {
     coefficients: Vec<Number>,
     /// Of the normal equations.
     inverse: DMatrix<Number>,
+    /// Radius that holds 95 of 100 errors of a place whose variance is a mark's, metres.
+    radius_m: f64,
+    marks: Marks,
+}
+
+/// Where the marks of a fit lie, and the largest of their residuals.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Marks {
+    middle: PixelPoint,
+    reach_px: f64,
+    worst_m: f64,
+}
+
+impl Marks {
+    fn of(residuals: &[Residual]) -> Marks {
+        let n = residuals.len() as f64;
+        let mean = |of: fn(&Residual) -> f64| residuals.iter().map(of).sum::<f64>() / n;
+        let middle = PixelPoint { x: mean(|at| at.pixel.x), y: mean(|at| at.pixel.y) };
+        let worst_m = residuals.iter().map(|at| at.east_m.hypot(at.north_m)).fold(0.0, f64::max);
+        Marks { middle, reach_px: reach_px(residuals, middle), worst_m }
+    }
+
+    /// The most that terms of the second degree put a place off by, metres. Along a row of marks they say nothing of
+    /// what lies across. A polynomial of the second degree that is nowhere larger than 1 within a distance of 1 grows
+    /// at most as Chebyshev's, 2ρ² − 1; between the marks it may be twice what it is at the worst of them.
+    fn second_degree_m(&self, pixel: PixelPoint) -> f64 {
+        let out = ((pixel.x - self.middle.x).hypot(pixel.y - self.middle.y) / self.reach_px).max(1.0);
+        2.0 * self.worst_m * (2.0 * out * out - 1.0)
+    }
+}
+
+/// How far the farthest lies from a place.
+fn reach_px(residuals: &[Residual], from: PixelPoint) -> f64 {
+    residuals.iter().map(|at| (at.pixel.x - from.x).hypot(at.pixel.y - from.y)).fold(1.0, f64::max)
 }
 
 /// Residuals of complex least squares: their sum of squares, and the RMS of points left out in turn.
@@ -78,8 +113,7 @@ impl Departure {
         /// Points left out must be nearer by this factor: one wrong point bends a fit, and is farther off it when it is
         /// left out.
         const SHARE: f64 = 0.7;
-        let from_middle_px = |p: PixelPoint| (p.x - middle.x).hypot(p.y - middle.y);
-        let reach_px = residuals.iter().map(|at| from_middle_px(at.pixel)).fold(1.0, f64::max);
+        let (marks, reach_px) = (Marks::of(residuals), reach_px(residuals, middle));
         let places: Vec<Number> = residuals.iter().map(|at| place(at.pixel, handedness, middle, reach_px)).collect();
         let residuals: Vec<Number> = residuals.iter().map(|at| Number::new(at.east_m, at.north_m)).collect();
         let plain = fitted(&places, &residuals, |u| vec![Number::new(1.0, 0.0), u])?;
@@ -92,21 +126,31 @@ impl Departure {
         };
         let found = Shape::ALL.into_iter().filter_map(explains);
         let (shape, left) = found.min_by(|a, b| a.1.left_out.total_cmp(&b.1.left_out))?;
-        let Left { left_out: left_m, coefficients, inverse, .. } = left;
-        Some(Departure { shape, left_m, handedness, middle, reach_px, coefficients, inverse })
+        let Left { squares, left_out: left_m, coefficients, inverse } = left;
+        let freedom = 2.0 * (places.len() - coefficients.len()) as f64;
+        let radius_m = (squares / freedom).sqrt() * quantile(freedom);
+        Some(Departure { shape, left_m, handedness, middle, reach_px, coefficients, inverse, radius_m, marks })
     }
 
-    /// How far from where the written transform has a pixel this one has it, metres; `None` where the marks do not say:
-    /// beside a row of marks a bend across it is anybody's guess.
-    pub fn at_m(&self, pixel: PixelPoint) -> Option<f64> {
+    /// How far from where the written transform has a pixel this one has it, metres. Where the marks hardly tell (beside
+    /// a row of them, or far outside), no farther in about 95 of 100 cases, and no less than at the worst of the marks.
+    pub fn at_m(&self, pixel: PixelPoint) -> f64 {
         /// Variance of the place, in that of a mark: corners well beyond the marks have eight.
         const MOST_UNSURE: f64 = 25.0;
         let u = place(pixel, self.handedness, self.middle, self.reach_px);
         let terms = self.shape.terms(u);
         let row = RowDVector::from_row_slice(&terms);
         let unsure = (&row * &self.inverse * row.adjoint())[(0, 0)].re;
-        let off = terms.iter().zip(&self.coefficients).map(|(term, c)| term * c).sum::<Number>();
-        (unsure <= MOST_UNSURE).then(|| off.norm())
+        let off_m = terms.iter().zip(&self.coefficients).map(|(term, c)| term * c).sum::<Number>().norm();
+        if unsure <= MOST_UNSURE {
+            return off_m;
+        }
+        let at_most_m = off_m + self.radius_m * unsure.sqrt();
+        let at_most_m = match self.shape {
+            Shape::Stretched | Shape::Domed => at_most_m,
+            Shape::Bent => at_most_m.min(self.marks.second_degree_m(pixel)),
+        };
+        at_most_m.max(self.marks.worst_m)
     }
 }
 
@@ -192,14 +236,28 @@ mod tests {
     fn a_corner_is_as_far_off_as_the_shape_takes_it() {
         let all = drawn(14, &mut SplitMix64(3), |u| 0.4 * u * u.norm_sqr());
         let found = Departure::of(&all, Handedness::AsIs, MIDDLE).expect("a dome");
-        let corner = found.at_m(PixelPoint { x: 0.0, y: 0.0 }).expect("marks all over the image tell");
-        assert!((corner - 0.4).abs() < 0.05, "{corner}");
+        let corner = PixelPoint { x: 0.0, y: 0.0 };
+        let off = found.at_m(corner);
+        assert!((off - 0.4).abs() < 0.05, "{off}");
         assert!(found.left_m < 0.03, "{}", found.left_m);
-        // Of marks along a road nobody knows the bend beside it.
+        // Of marks along a road nobody knows the bend beside it: as much as the worst of them is off, and no nonsense.
         let beside = |at: &Residual| PixelPoint { y: 735.0 + 0.02 * at.pixel.y, ..at.pixel };
         let road: Vec<Residual> = all.iter().map(|at| Residual { pixel: beside(at), ..*at }).collect();
-        let along = Departure::of(&road, Handedness::AsIs, MIDDLE);
-        assert!(along.is_none_or(|along| along.at_m(PixelPoint { x: 0.0, y: 0.0 }).is_none()));
+        if let Some(along) = Departure::of(&road, Handedness::AsIs, MIDDLE) {
+            let off = along.at_m(corner);
+            assert!((0.3..10.0).contains(&off), "{:?}: {off}", along.shape);
+        }
+        // Of marks in the middle half the bend outside is known roughly, and never said to be less than it is.
+        let inner = |at: &Residual| {
+            let half = |v: f64, middle: f64| middle + 0.5 * (v - middle);
+            let pixel = PixelPoint { x: half(at.pixel.x, MIDDLE.x), y: half(at.pixel.y, MIDDLE.y) };
+            Residual { pixel, ..*at }
+        };
+        let inside: Vec<Residual> = all.iter().map(inner).collect();
+        let found = Departure::of(&inside, Handedness::AsIs, MIDDLE).expect("a dome");
+        let off = found.at_m(corner);
+        // Half as wide, the same bend at the marks is eight times as large at the corner.
+        assert!((3.0..5.0).contains(&off), "{off}");
         // Turned over, only a mirrored similarity takes it.
         let mirrored = Departure::of(&all, Handedness::Mirrored, MIDDLE);
         assert!(mirrored.is_none_or(|found| found.shape != Shape::Domed));

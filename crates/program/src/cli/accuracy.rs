@@ -6,7 +6,6 @@ use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_raster::error::Error;
 use autoref_solve::accuracy::{self, CheckError, CornerError, ErrorModel, StatementOptions};
 use autoref_solve::{Pair, planar};
-use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::{GcpList, GcpRole};
 use autoref_stream::pipeline::reasons::Reason;
 use autoref_stream::result::{ChosenModel, MatchRow, Misfit, RunResult, SolvedRun, Warning};
@@ -132,13 +131,6 @@ fn untested(solved: &SolvedRun, list: &GcpList) -> Option<String> {
             names.len(),
             names.join(", ")
         )
-    })
-}
-
-/// The image's size, or how far the candidates reach.
-pub fn extent(size: Option<(f64, f64)>, candidates: &[Candidate]) -> (f64, f64) {
-    size.unwrap_or_else(|| {
-        candidates.iter().fold((1.0, 1.0), |(w, h), c| (f64::max(w, c.centre.x), f64::max(h, c.centre.y)))
     })
 }
 

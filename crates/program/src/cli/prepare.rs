@@ -12,10 +12,11 @@ use autoref_raster::{self as raster, RasterInfo, RasterSource, ReaderChoice};
 use autoref_stream::gcp::{self, GcpOptions};
 use autoref_stream::matching::{Matcher, MirrorMatcher, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::MarkDetector;
-use autoref_stream::profile::Profile;
+use autoref_stream::pipeline::asked::Asked;
+use autoref_stream::profile::{Profile, Rule};
 
 use crate::cli::args::{MarkArgs, MatchArgs, MatcherArg, PriorArg, ReadArgs};
-use crate::cli::values::Gsd;
+use crate::cli::values::{Gsd, MarkSize};
 use autoref_raster::words::counted;
 
 /// An opened image with the detector and the plan for scanning it.
@@ -25,6 +26,8 @@ pub struct Prepared {
     pub plan: ScanPlan,
     /// What the plan was made with.
     pub options: PlanOptions,
+    /// Of the marks, whatever their paint.
+    pub asked: Asked,
 }
 
 /// As asked for, else one for each core.
@@ -82,7 +85,8 @@ pub fn open(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -
         info.reader
     );
     tracing::info!("memory plan: {}", plan.line());
-    Ok(Prepared { source, detector, plan, options })
+    let asked = asked(marks, gsd_m);
+    Ok(Prepared { source, detector, plan, options, asked })
 }
 
 fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {
@@ -100,13 +104,21 @@ fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {
     let [closing, opening] = elements.map(|path| path.as_deref().map(structuring_element).transpose());
     profile.filters.closing_element = closing?.or(profile.filters.closing_element);
     profile.filters.opening_element = opening?.or(profile.filters.opening_element);
-    for rule in &marks.gate {
-        profile.gates.rule = Some(match profile.gates.rule.take() {
-            Some(own) => own.and(rule.clone()),
-            None => rule.clone(),
-        });
-    }
+    let own = profile.gates.rule.take();
+    profile.gates.rule = own.into_iter().chain(marks.gate.iter().cloned()).reduce(Rule::and);
     Ok(profile)
+}
+
+/// What `--mark-size` and `--gate` say, of paint of any colour.
+fn asked(marks: &MarkArgs, gsd_m: Option<f64>) -> Asked {
+    let size = marks.mark_size.map(|size| format!("--mark-size {size}"));
+    let rules = marks.gate.iter().map(|rule| format!("--gate '{}'", String::from(rule.clone())));
+    Asked {
+        size: marks.mark_size.map(MarkSize::of_profile),
+        rule: marks.gate.iter().cloned().reduce(Rule::and),
+        gsd_m,
+        options: size.into_iter().chain(rules).collect(),
+    }
 }
 
 /// The pixels of a small image that are not 0.

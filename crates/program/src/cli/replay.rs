@@ -67,11 +67,10 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     result.options = recorded.options.clone();
     // A georeference can be written from what was settled by hand: `apply` wants to know the image.
     result.image = recorded.image.clone();
-    let size = recorded.image.as_ref().map(|image| (image.width as f64, image.height as f64));
     if let Outcome::Solved(orientation) = &outcome {
         solving::again(result, &recorded, orientation, &list);
     }
-    let extent = accuracy::extent(size, &result.candidates);
+    let extent = result.extent_px();
     accuracy::state(result, &list, &args.gcps.accuracy, extent);
     if let (Some(solved), Some(image)) = (result.solved(), &recorded.image)
         && let Some(solution) = &solved.solution

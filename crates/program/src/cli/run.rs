@@ -112,7 +112,7 @@ pub fn first_look(args: &LookArgs) -> anyhow::Result<RunResult> {
     let image = args.image.as_deref().context("no image: name one")?;
     let gcp_file = args.gcps.path()?;
     let marks = args.paint.of(&args.marks);
-    let Prepared { source, detector, plan, .. } = prepare::open(image, &args.read, &marks, args.matching.gsd)?;
+    let Prepared { source, detector, plan, asked, .. } = prepare::open(image, &args.read, &marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     args.solving.check(Existing::Keep)?;
     let info = source.info();
@@ -135,6 +135,7 @@ pub fn first_look(args: &LookArgs) -> anyhow::Result<RunResult> {
         priors: &priors,
         progress: &bar,
         refine: args.refine.choice(),
+        asked: &asked,
     })?;
     bar.finish();
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates);
@@ -149,7 +150,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let gcp_file = args.look.gcps.path()?;
     let marks = args.look.paint.of(&args.look.marks);
     let opening = tracing::info_span!("open").entered();
-    let Prepared { source, detector, plan, .. } =
+    let Prepared { source, detector, plan, asked, .. } =
         prepare::open(image, &args.look.read, &marks, args.look.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.look.gcps.options(Some(source.info())))?;
     accuracy::check_nssda(&args.look.gcps.accuracy, &list)?;
@@ -175,6 +176,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         priors: &priors,
         progress: &watch,
         refine: args.look.refine.choice(),
+        asked: &asked,
     };
     let mut looked = Looked { run: georeference(&job)?, second: None, colours: None };
     if looks == Looks::WithOtherColours {
@@ -330,7 +332,7 @@ fn advise(
     }
     if let Some(search) = &colours {
         result.advice.extend(search.advice(profile));
-        result.warnings.extend(search.note().map(Warning::Said));
+        result.warnings.extend(search.note(profile).map(Warning::Said));
     }
     result.colour_search = colours;
     if result.refused().is_some() {

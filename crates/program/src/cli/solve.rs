@@ -9,7 +9,7 @@ use autoref_stream::georef::candidate_list;
 use autoref_stream::matching::Priors;
 use autoref_stream::pipeline::georeference::solve_candidates;
 
-use crate::cli::accuracy::{self, extent};
+use crate::cli::accuracy;
 use crate::cli::args::SolveArgs;
 use crate::cli::diagnosis;
 use crate::cli::document::Document;
@@ -66,7 +66,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     document.result.timings.match_s = match_started.elapsed().as_secs_f64();
     let place = ImagePlace { size_px: size, georeference: None };
     let dem = args.solving.apply(&mut document.result, &outcome, &list, &place)?;
-    let seen = extent(size, &document.result.candidates);
+    let seen = document.result.extent_px();
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, seen);
     working_crs::deliver(&mut document.result, &list, size)?;
     if let Some(dem) = dem {

@@ -118,7 +118,7 @@ impl ErrorModel {
 
 /// The radius that holds 95 of 100 errors, in standard deviations of a coordinate that is estimated with so many
 /// degrees of freedom.
-fn quantile(freedom: f64) -> f64 {
+pub(crate) fn quantile(freedom: f64) -> f64 {
     (freedom * (OUTSIDE.powf(-2.0 / freedom) - 1.0)).sqrt()
 }
 
@@ -168,7 +168,8 @@ pub enum Corner {
 }
 
 impl Corner {
-    const CLOCKWISE: [Corner; 4] = [Corner::UpperLeft, Corner::UpperRight, Corner::LowerRight, Corner::LowerLeft];
+    /// From the upper left.
+    pub const CLOCKWISE: [Corner; 4] = [Corner::UpperLeft, Corner::UpperRight, Corner::LowerRight, Corner::LowerLeft];
 
     /// Where it lies in an image of this size.
     pub fn place(self, (width_px, height_px): (f64, f64)) -> PixelPoint {
