@@ -66,7 +66,7 @@ pub struct PlacedModel {
 }
 
 impl PlacedModel {
-    /// Finds out how the model lies to an image of `size_px` that claims `georeference`.
+    /// Finds out how the model lies to an image of `size_px` that has, or once had, one of the `georeferences`.
     ///
     /// # Errors
     /// When the model has no georeference and is not the image's size, or its CRS cannot be reached from `list_crs`.
@@ -74,7 +74,7 @@ impl PlacedModel {
         model: ElevationModel,
         name: &str,
         size_px: Option<(f64, f64)>,
-        georeference: Option<GeoTransform>,
+        georeferences: &[GeoTransform],
         list_crs: Option<&Crs>,
     ) -> Result<Self> {
         let (width, height) = (model.size().0 as f64, model.size().1 as f64);
@@ -82,11 +82,10 @@ impl PlacedModel {
         // A whole grid over the same picture, perhaps coarser: both ratios agree within a pixel at the far edge.
         let same_picture = ratio.filter(|r| (r.0 / r.1 - 1.0).abs() * width.max(height) <= 1.0);
         let own = model.geotransform();
-        let as_image = match (own, georeference, same_picture) {
-            (None, _, Some(ratio)) => Some(ratio),
-            (Some(own), Some(image), Some(ratio)) if ratio == (1.0, 1.0) && image.differs_px(&own) < 0.01 => {
-                Some(ratio)
-            }
+        let is_images = |own: &GeoTransform| georeferences.iter().any(|image| image.differs_px(own) < 0.01);
+        let as_image = match (own, same_picture) {
+            (None, Some(ratio)) => Some(ratio),
+            (Some(own), Some(ratio)) if ratio == (1.0, 1.0) && is_images(&own) => Some(ratio),
             _ => None,
         };
         if let Some(ratio) = as_image {

@@ -8,8 +8,9 @@ use autoref_raster::coords::{GeoTransform, Handedness};
 use autoref_raster::crs::Crs;
 use autoref_raster::mask::{Element, LONGEST_SIDE_PX};
 use autoref_raster::memory_plan::{PlanOptions, ScanPlan};
-use autoref_raster::{self as raster, RasterInfo, RasterSource, ReaderChoice};
+use autoref_raster::{self as raster, Georeference, RasterInfo, RasterSource, ReaderChoice};
 use autoref_stream::gcp::{self, GcpOptions};
+use autoref_stream::georef::beneath;
 use autoref_stream::matching::{Matcher, MirrorMatcher, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::profile::Profile;
@@ -20,7 +21,10 @@ use autoref_raster::words::counted;
 
 /// An opened image with the detector and the plan for scanning it.
 pub struct Prepared {
+    /// With the georeference that the image had before any run of this program.
     pub source: Arc<dyn RasterSource>,
+    /// What an earlier run has written over that.
+    pub written: Option<GeoTransform>,
     pub detector: MarkDetector,
     pub plan: ScanPlan,
     /// What the plan was made with.
@@ -61,6 +65,7 @@ pub fn open(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -
     });
     let source = source.map_err(|error| of_a_list(image, error))?;
     let source = raster::with_white(source, read.white)?;
+    let (source, written) = as_it_came(source, read.page);
     let info = source.info();
     let gsd_m = gsd.map(Gsd::middle_m).or_else(|| known_gsd(info));
     let detector = MarkDetector::with_colours(profile, colours?, info, gsd_m)?;
@@ -82,7 +87,23 @@ pub fn open(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -
         info.reader
     );
     tracing::info!("memory plan: {}", plan.line());
-    Ok(Prepared { source, detector, plan, options })
+    Ok(Prepared { source, written, detector, plan, options })
+}
+
+/// The image with the georeference that it came with, so that a second run says what the first one said; beside it the
+/// one that an earlier run wrote.
+fn as_it_came(source: Arc<dyn RasterSource>, page: usize) -> (Arc<dyn RasterSource>, Option<GeoTransform>) {
+    let info = source.info();
+    let shown = Georeference { transform: info.geotransform, crs_wkt: info.crs_wkt.clone() };
+    let beneath = beneath::beneath(info, page);
+    let written = shown.transform.filter(|_| beneath.is_some());
+    if let Some(beneath) = &beneath {
+        let what = if beneath.transform.is_some() { "the one beneath counts" } else { "what was beneath is not known" };
+        tracing::info!("{}: its georeference is of an earlier run: {what}", info.path.display());
+    }
+    let came = beneath.unwrap_or_else(|| shown.clone());
+    let source = if came == shown { source } else { raster::with_georeference(source, came) };
+    (source, written)
 }
 
 fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {
