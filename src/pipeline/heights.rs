@@ -196,7 +196,7 @@ fn fit(
     position_crs: Option<String>,
     read: &ReadHeight<'_>,
 ) -> Result<HeightResult> {
-    let mut without_height = Vec::new();
+    let (mut without_height, mut off_model) = (Vec::new(), 0);
     let mut take = |marks: &[FoundMark]| -> Result<Vec<(String, HeightPoint)>> {
         let mut points = Vec::new();
         for mark in marks {
@@ -206,7 +206,10 @@ fn fit(
                 Some((surveyed_m, model_m)) => {
                     points.push((gcp.name.clone(), HeightPoint { position, surveyed_m, model_m }));
                 }
-                None => without_height.push(gcp.name.clone()),
+                None => {
+                    off_model += usize::from(gcp.height.is_some());
+                    without_height.push(gcp.name.clone());
+                }
             }
         }
         Ok(points)
@@ -220,6 +223,9 @@ fn fit(
         )
     })?;
     let chosen = correction.chosen_fit();
+    let surveyed = control.len() + check.len() + off_model;
+    let mut warnings = correction.warnings.clone();
+    warnings.extend((2 * off_model > surveyed && frame != ModelFrame::List).then(|| few_heights(off_model, surveyed)));
     let rows = |points: &[(String, HeightPoint)], left_out: &[f64]| -> Vec<HeightRow> {
         let row = |(i, (name, p)): (usize, &(String, HeightPoint))| HeightRow {
             gcp: name.clone(),
@@ -239,7 +245,15 @@ fn fit(
         points,
         check_points,
         without_height,
-        warnings: correction.warnings.clone(),
+        warnings,
         correction,
     })
+}
+
+/// That the model has little to say of the marks.
+fn few_heights(off_model: usize, surveyed: usize) -> String {
+    format!(
+        "the elevation model has no height at {off_model} of the {surveyed} points with a surveyed one: look whether it \
+         covers the marks, and whether its georeference is the true one"
+    )
 }

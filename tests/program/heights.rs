@@ -131,6 +131,25 @@ fn a_model_in_the_images_grid_is_read_there_and_corrected() {
     assert_eq!(again.status.code(), Some(2));
 }
 
+/// A model that covers few of the marks may have been placed wrongly: two of fourteen points fit without a word.
+#[test]
+fn a_model_without_heights_at_most_marks_is_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let marks = lists(folder.path());
+    let at = |east: f64| GeoTransform([east, 0.5, 0.0, 7_032_030.0, 0.0, -0.5]);
+    let mut east: Vec<f64> = marks.iter().map(|(_, m)| m.easting).collect();
+    east.sort_by(f64::total_cmp);
+    let warnings = |first: f64| {
+        let grid = at(first);
+        model(&folder.path().join("dem.tif"), (300, 260), Some((grid, 25832)), &|p| grid.apply(p));
+        let heights = &solve(folder.path(), &["--dem", "dem.tif"])["heights"];
+        heights["warnings"].to_string()
+    };
+    let few = warnings((east[10] + east[11]) / 2.0);
+    assert!(few.contains("no height at 11 of the 14 points"), "{few}");
+    assert!(!warnings(east[0] - 10.0).contains("no height at"));
+}
+
 /// A copy of a model in other numbers: stored values are (height − offset) / scale in the unit.
 fn restated(from: &Path, to: &Path, scale: f64, offset: f64, unit: Option<&str>) {
     let model = ElevationModel::open(from).expect("ours");
