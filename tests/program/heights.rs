@@ -150,6 +150,25 @@ fn a_model_without_heights_at_most_marks_is_told() {
     assert!(!warnings(east[0] - 10.0).contains("no height at"));
 }
 
+/// Its first band passed for heights.
+#[test]
+fn a_photograph_is_no_elevation_model() {
+    let folder = tempfile::tempdir().expect("a folder");
+    lists(folder.path());
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+    let photo = driver.create_with_band_type::<u8, _>(folder.path().join("photo.tif"), 400, 300, 3).expect("created");
+    photo.close().expect("written");
+    let output = Command::cargo_bin("autoref-stream")
+        .expect("built")
+        .current_dir(folder.path())
+        .args(["solve", "candidates.csv", "--gcps", "list.csv", "--size", "1600,1200", "--dem", "photo.tif"])
+        .output()
+        .expect("it runs");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(["photo.tif", "3 bands", "gdal_translate -b 1"].iter().all(|word| said.contains(word)), "{said}");
+}
+
 /// A copy of a model in other numbers: stored values are (height − offset) / scale in the unit.
 fn restated(from: &Path, to: &Path, scale: f64, offset: f64, unit: Option<&str>) {
     let model = ElevationModel::open(from).expect("ours");
