@@ -81,7 +81,7 @@ impl PlacedModel {
         let ratio = size_px.map(|(w, h)| (width / w, height / h));
         // A whole grid over the same picture, perhaps coarser: both ratios agree within a pixel at the far edge.
         let same_picture = ratio.filter(|r| (r.0 / r.1 - 1.0).abs() * width.max(height) <= 1.0);
-        let own = model.geotransform();
+        let own = model.geotransform().filter(|own| !own.counts_pixels());
         let is_images = |own: &GeoTransform| georeferences.iter().any(|image| image.differs_px(own) < 0.01);
         let as_image = match (own, same_picture) {
             (None, Some(ratio)) => Some(ratio),

@@ -131,6 +131,21 @@ fn a_model_in_the_images_grid_is_read_there_and_corrected() {
     assert_eq!(again.status.code(), Some(2));
 }
 
+/// Programs write counted pixels as the georeference of a raster that has none.
+#[test]
+fn a_model_that_counts_pixels_is_in_the_images_grid() {
+    let folder = tempfile::tempdir().expect("a folder");
+    lists(folder.path());
+    let place = |p: PixelPoint| TRUTH.apply(PixelPoint { x: 4.0 * p.x, y: 4.0 * p.y });
+    let path = folder.path().join("dem.tif");
+    model(&path, (400, 300), None, &place);
+    let text = "<PAMDataset><GeoTransform>0, 1, 0, 0, 0, 1</GeoTransform></PAMDataset>";
+    std::fs::write(folder.path().join("dem.tif.aux.xml"), text).expect("writable");
+    assert!(ElevationModel::open(&path).expect("ours").geotransform().is_some_and(|own| own.counts_pixels()));
+    let heights = solve(folder.path(), &["--dem", "dem.tif"])["heights"].clone();
+    assert_eq!((&heights["frame"], heights["points"].as_array().map(Vec::len)), (&"image".into(), Some(14)));
+}
+
 /// A model that covers few of the marks may have been placed wrongly: two of fourteen points fit without a word.
 #[test]
 fn a_model_without_heights_at_most_marks_is_told() {

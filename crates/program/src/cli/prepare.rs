@@ -91,7 +91,7 @@ pub fn open(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -
 }
 
 /// The image with the georeference that it came with, so that a second run says what the first one said; beside it the
-/// one that an earlier run wrote.
+/// one that an earlier run wrote. Counted pixels are no georeference.
 fn as_it_came(source: Arc<dyn RasterSource>, page: usize) -> (Arc<dyn RasterSource>, Option<GeoTransform>) {
     let info = source.info();
     let shown = Georeference { transform: info.geotransform, crs_wkt: info.crs_wkt.clone() };
@@ -101,7 +101,8 @@ fn as_it_came(source: Arc<dyn RasterSource>, page: usize) -> (Arc<dyn RasterSour
         let what = if beneath.transform.is_some() { "the one beneath counts" } else { "what was beneath is not known" };
         tracing::info!("{}: its georeference is of an earlier run: {what}", info.path.display());
     }
-    let came = beneath.unwrap_or_else(|| shown.clone());
+    let mut came = beneath.unwrap_or_else(|| shown.clone());
+    came.transform = came.transform.filter(|own| !own.counts_pixels());
     let source = if came == shown { source } else { raster::with_georeference(source, came) };
     (source, written)
 }
@@ -191,9 +192,7 @@ pub fn priors(info: &RasterInfo, matching: &MatchArgs) -> Vec<Priors> {
 
 /// Mirrored, where the image's own georeference is: rows that go north, or columns that go west.
 pub fn own_handedness(info: &RasterInfo, matching: &MatchArgs) -> Option<Handedness> {
-    // Pixels counted as if they were places are no georeference.
-    const PIXELS: [f64; 6] = [0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-    let GeoTransform(g) = info.geotransform.filter(|own| matching.prior == PriorArg::Auto && own.0 != PIXELS)?;
+    let GeoTransform(g) = info.geotransform.filter(|_| matching.prior == PriorArg::Auto)?;
     (g[1] * g[5] - g[2] * g[4] > 0.0).then_some(Handedness::Mirrored)
 }
 
