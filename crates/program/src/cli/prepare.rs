@@ -16,7 +16,7 @@ use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::profile::Profile;
 
 use crate::cli::args::{MarkArgs, MatchArgs, MatcherArg, PriorArg, ReadArgs};
-use crate::cli::values::Gsd;
+use crate::cli::values::{Gsd, MarkSize};
 use autoref_raster::words::counted;
 
 /// An opened image with the detector and the plan for scanning it.
@@ -68,6 +68,11 @@ pub fn open(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -
     let (source, written) = as_it_came(source, read.page);
     let info = source.info();
     let gsd_m = gsd.map(Gsd::middle_m).or_else(|| known_gsd(info));
+    if gsd_m.is_none() && matches!(marks.mark_size, Some(MarkSize::Metres(..))) {
+        bail!(
+            "--mark-size gives a length, and the ground size of a pixel is not known; give --gsd, or the size in pixels"
+        );
+    }
     let detector = MarkDetector::with_colours(profile, colours?, info, gsd_m)?;
     let options = PlanOptions {
         tile_px: read.tile,
