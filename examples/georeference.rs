@@ -10,6 +10,7 @@ use autoref_stream::detector::Detector as _;
 use autoref_stream::gcp::{self, GcpOptions};
 use autoref_stream::georef::sidecar::world_file;
 use autoref_stream::matching::{Priors, RobustMatcher};
+use autoref_stream::pipeline::asked::Asked;
 use autoref_stream::pipeline::georeference::{Job, Outcome, Refine, georeference};
 use autoref_stream::pipeline::{NoProgress, PaintDetector};
 use autoref_stream::profile::Profile;
@@ -50,6 +51,7 @@ pub fn run(image: &Path, list: &Path, out: &Path) -> Result<String, AnyError> {
         priors: &[priors],
         progress: &NoProgress,
         refine: Refine::Always,
+        asked: &Asked::default(),
     };
     match georeference(&job)?.outcome {
         Outcome::Refused(evidence) => Err(evidence.reason.into()),

@@ -3,7 +3,6 @@
 
 use crate::segment::label::Region;
 use autoref_raster::Patch;
-use autoref_raster::window::Window;
 
 /// Pixels of a window, named by their index in row-major order.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,4 +1,5 @@
-//! GCPs as GeoJSON: Point features (or MultiPoints of one), 2-D or 3-D, with or without the `crs` member of the 2008 format.
+//! GCPs as GeoJSON: Point features (or MultiPoints of one), 2-D or 3-D, with or without the `crs` member of the 2008
+//! format.
 //!
 //! RFC 7946 (H. Butler et al., "The GeoJSON Format", 2016) says longitude, latitude; many survey programs write
 //! projected coordinates all the same, so that is decided by the values.

@@ -8,6 +8,7 @@
 //! assert_eq!(text.lines().collect::<Vec<_>>(), ["2", "0", "0", "-2", "101", "199"]);
 //! ```
 
+pub mod beneath;
 pub mod candidate_list;
 pub mod dialects;
 pub mod exif;

@@ -83,11 +83,27 @@ pub fn aux_xml(transform: &GeoTransform, crs: Option<&Crs>, existing: Option<(&P
             autoref_raster::crs::axis_mapping(crs)
         ));
     }
-    let numbers = transform.0.map(|v| format!("{v:.17e}")).join(", ");
-    out.push_str(&format!("  <GeoTransform>{numbers}</GeoTransform>\n"));
+    out.push_str(&format!("  <GeoTransform>{}</GeoTransform>\n", numbers(transform)));
     out.push_str(&kept);
     out.push_str("</PAMDataset>\n");
     Ok(out)
+}
+
+/// The six numbers as we write them: GDAL writes exponents with a sign and two digits.
+fn numbers(transform: &GeoTransform) -> String {
+    transform.0.map(|v| format!("{v:.17e}")).join(", ")
+}
+
+/// The six numbers of an `.aux.xml` that this program wrote, and no other since.
+pub(super) fn transform_of_own_aux(text: &str) -> Option<GeoTransform> {
+    transform_of_aux(text).filter(|read| text.contains(&format!("<GeoTransform>{}</GeoTransform>", numbers(read))))
+}
+
+/// The six numbers of a world file, from pixel corners.
+pub(super) fn transform_of_world(text: &str) -> Option<GeoTransform> {
+    let numbers: Vec<f64> = text.split_whitespace().map(|word| word.parse().ok()).collect::<Option<_>>()?;
+    let [a, d, b, e, x, y] = numbers.try_into().ok()?;
+    Some(GeoTransform([x - (a + b) / 2.0, a, b, y - (d + e) / 2.0, d, e]))
 }
 
 /// The six numbers that an `.aux.xml` holds.
@@ -194,7 +210,10 @@ mod tests {
     #[test]
     fn a_world_file_counts_from_the_middle_of_the_first_pixel() {
         let turned = GeoTransform([500_000.0, 0.5, 0.25, 7_000_000.0, -0.125, -0.75]);
-        assert_eq!(world_file(&turned), "0.5\n-0.125\n0.25\n-0.75\n500000.375\n6999999.5625\n");
+        let text = "0.5\n-0.125\n0.25\n-0.75\n500000.375\n6999999.5625\n";
+        assert_eq!(world_file(&turned), text);
+        assert_eq!(transform_of_world(text), Some(turned));
+        assert_eq!(transform_of_world("0.5\n-0.125\n"), None);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use crate::georef::beneath;
 use crate::georef::sidecar;
 use crate::georef::tags;
 use crate::result::{ImageInfo, PriorGeoreference, RunResult};
@@ -41,7 +42,14 @@ pub fn carry(result: &RunResult, other: &Path, edges: Edges) -> Result<RunResult
     let (_, dataset) = autoref_raster::open_dataset(other, 0)?;
     let (width, height) = dataset.raster_size();
     let own = dataset.geo_transform().ok().map(GeoTransform);
-    let prior = result.prior_georeference.as_ref();
+    let recorded = result.prior_georeference.as_ref();
+    let prior = recorded.filter(|prior| !beneath::repeats(&prior.geotransform, &transform));
+    if recorded.is_some() && prior.is_none() && own.is_some() && !same_extent {
+        return Err(Error::usage(
+            format!("{}: the result has itself for what the image had before", other.display()),
+            "run the job on the image again, or give --same-extent if their outer edges coincide",
+        ));
+    }
     let same_size = (width as u64, height as u64) == (image.width, image.height);
     if prior.is_some() && !same_extent && !same_size {
         not_ours(other)?;

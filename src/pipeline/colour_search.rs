@@ -2,6 +2,8 @@
 //! sorted by colour; each cluster is tried against the list. The limit on false alarms holds for all clusters together,
 //! because the matcher that is given counts [`MOST_CLUSTERS`] of them, tried or not.
 
+use std::collections::HashSet;
+
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -42,6 +44,9 @@ pub struct ColourCluster {
     /// Their median, as #RRGGBB.
     pub colour: String,
     pub objects: usize,
+    /// Of these, candidates by the profile already.
+    #[serde(default)]
+    pub seen: usize,
     /// Points of the list that they match; 0 when refused.
     pub matched: usize,
     pub adopted: bool,
@@ -73,7 +78,7 @@ const NAMED: usize = 3;
 
 impl ColourSearch {
     /// What to try next, of clusters that look like marks, the most vivid first: grass and earth come in many objects,
-    /// paint is bright. Not the paint that `profile` was asked for.
+    /// paint is bright. Not the paint that `profile` was asked for, nor what it has found.
     pub fn advice(&self, profile: &str) -> Vec<String> {
         let is_new = |c: &&ColourCluster| is_new(&c.colour, profile);
         if self.clusters.iter().any(|cluster| cluster.adopted) {
@@ -82,7 +87,8 @@ impl ColourSearch {
         let line = |c: &ColourCluster| {
             format!("these {} objects of colour {} look like marks: --paint \"{}\"", c.objects, c.colour, c.colour)
         };
-        let mut new: Vec<&ColourCluster> = self.clusters.iter().filter(is_new).collect();
+        let is_unseen = |c: &&ColourCluster| 2 * c.seen < c.objects;
+        let mut new: Vec<&ColourCluster> = self.clusters.iter().filter(is_unseen).filter(is_new).collect();
         new.sort_by(|s, t| chroma(&t.colour).total_cmp(&chroma(&s.colour)));
         let mut left_out: Vec<&LeftOut> = self.left_out.iter().collect();
         left_out.sort_by(|s, t| chroma(&t.colour).total_cmp(&chroma(&s.colour)));
@@ -125,9 +131,11 @@ pub fn colour_search(job: &Job<'_>, first: Run) -> Result<(Run, Option<ColourSea
     let objects = seen.candidates.len();
     let mut search = ColourSearch { objects, clusters: Vec::new(), left_out: Vec::new(), elapsed_s: 0.0 };
     let mut solved = None;
+    let known = Places::of(&first.scan.candidates);
     for members in clusters(&seen.candidates).into_iter().take(MOST_CLUSTERS) {
         let mut candidates: Vec<Candidate> = members.iter().map(|&i| seen.candidates[i].clone()).collect();
         let colour = median_colour(&candidates);
+        let already = candidates.iter().filter(|candidate| known.has(candidate)).count();
         keep_strongest(&mut candidates, job.gcps.len());
         let outcome = oriented(job, &candidates, colour)?;
         let matched = match &outcome {
@@ -135,7 +143,8 @@ pub fn colour_search(job: &Job<'_>, first: Run) -> Result<(Run, Option<ColourSea
             _ => 0,
         };
         let (objects, adopted) = (members.len(), matched > 0);
-        search.clusters.push(ColourCluster { colour: hex(colour), objects, matched, adopted });
+        let colour = hex(colour);
+        search.clusters.push(ColourCluster { colour, objects, seen: already, matched, adopted });
         if let Some(outcome) = outcome.filter(|_| adopted) {
             solved = Some(Run {
                 scan: ScanOutcome { candidates, ..seen.clone() },
@@ -186,6 +195,28 @@ fn oriented(job: &Job<'_>, candidates: &[Candidate], colour: [u8; 3]) -> Result<
     let job = Job { refiner: refiner.as_detector(), ..*job };
     let outcome = orient_again(&job, candidates, *solved, refiner.as_detector())?;
     Ok(matches!(outcome, Outcome::Solved(_)).then_some(outcome))
+}
+
+/// Where candidates are, in cells.
+struct Places(HashSet<[i64; 2]>);
+
+impl Places {
+    /// Side of a cell, px: a mark has one centre in all colours, but for its shadow and its rim.
+    const CELL_PX: f64 = 4.0;
+
+    fn of(candidates: &[Candidate]) -> Places {
+        Places(candidates.iter().map(Places::cell).collect())
+    }
+
+    fn cell(candidate: &Candidate) -> [i64; 2] {
+        [candidate.centre.x, candidate.centre.y].map(|v| (v / Places::CELL_PX).floor() as i64)
+    }
+
+    /// Whether one is at this candidate's place.
+    fn has(&self, candidate: &Candidate) -> bool {
+        let [x, y] = Places::cell(candidate);
+        (-1..=1).any(|down| (-1..=1).any(|right| self.0.contains(&[x + right, y + down])))
+    }
 }
 
 /// How far a colour, #RRGGBB, is from grey in a\*, b\*.
@@ -239,10 +270,12 @@ fn median_colour(candidates: &[Candidate]) -> [u8; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use autoref_raster::coords::PixelPoint;
 
     #[test]
     fn nobody_is_sent_to_the_paint_that_was_asked_for() {
-        let cluster = |colour: &str| ColourCluster { colour: colour.into(), objects: 20, matched: 0, adopted: false };
+        let cluster =
+            |colour: &str| ColourCluster { colour: colour.into(), objects: 20, seen: 0, matched: 0, adopted: false };
         let search = ColourSearch {
             objects: 40,
             clusters: vec![cluster("#2A4363"), cluster("#C83232")],
@@ -261,7 +294,7 @@ mod tests {
     fn what_the_user_forbids_is_said_first_and_the_paint_that_he_named_is_not_told_him_anew() {
         let options = "--mark-size 30..50px".into();
         let left_out = LeftOut { colour: "#DF5918".into(), objects: 12, side_px: [10.0, 16.0], options };
-        let cluster = ColourCluster { colour: "#2A4363".into(), objects: 9, matched: 0, adopted: false };
+        let cluster = ColourCluster { colour: "#2A4363".into(), objects: 9, seen: 0, matched: 0, adopted: false };
         let mut search = ColourSearch { objects: 9, clusters: vec![cluster], left_out: vec![left_out], elapsed_s: 0.0 };
         let advice = search.advice("#DF5918");
         let said = "12 objects of colour #DF5918 of 10 to 16 px look like marks; --mark-size 30..50px left them out";
@@ -269,5 +302,21 @@ mod tests {
         search.clusters[0].adopted = true;
         let note = |profile: &str| search.note(profile).expect("adopted");
         assert!(note("orange").contains("--paint \"#2A4363\"") && !note("#2C4564").contains("--paint"));
+    }
+
+    /// The marks were found, and something else spoke against them: a wrong --gsd, a list of check points.
+    #[test]
+    fn nobody_is_sent_to_the_paint_that_the_profile_has_found() {
+        let found = |x: f64| Candidate::at(PixelPoint { x, y: 50.0 });
+        let known = Places::of(&[found(100.0), found(300.0)]);
+        assert!(known.has(&found(101.5)) && known.has(&found(299.0)) && !known.has(&found(120.0)));
+        let cluster =
+            |seen: usize| ColourCluster { colour: "#DF5918".into(), objects: 10, seen, matched: 0, adopted: false };
+        let advice = |seen| {
+            let (clusters, left_out) = (vec![cluster(seen)], Vec::new());
+            ColourSearch { objects: 10, clusters, left_out, elapsed_s: 0.0 }.advice("orange")
+        };
+        assert!(advice(10).is_empty() && advice(5).is_empty());
+        assert_eq!(advice(4).len(), 1, "most were passed over");
     }
 }

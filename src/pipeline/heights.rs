@@ -66,7 +66,7 @@ pub struct PlacedModel {
 }
 
 impl PlacedModel {
-    /// Finds out how the model lies to an image of `size_px` that claims `georeference`.
+    /// Finds out how the model lies to an image of `size_px` that has, or once had, one of the `georeferences`.
     ///
     /// # Errors
     /// When the model has no georeference and is not the image's size, or its CRS cannot be reached from `list_crs`.
@@ -74,19 +74,18 @@ impl PlacedModel {
         model: ElevationModel,
         name: &str,
         size_px: Option<(f64, f64)>,
-        georeference: Option<GeoTransform>,
+        georeferences: &[GeoTransform],
         list_crs: Option<&Crs>,
     ) -> Result<Self> {
         let (width, height) = (model.size().0 as f64, model.size().1 as f64);
         let ratio = size_px.map(|(w, h)| (width / w, height / h));
         // A whole grid over the same picture, perhaps coarser: both ratios agree within a pixel at the far edge.
         let same_picture = ratio.filter(|r| (r.0 / r.1 - 1.0).abs() * width.max(height) <= 1.0);
-        let own = model.geotransform();
-        let as_image = match (own, georeference, same_picture) {
-            (None, _, Some(ratio)) => Some(ratio),
-            (Some(own), Some(image), Some(ratio)) if ratio == (1.0, 1.0) && image.differs_px(&own) < 0.01 => {
-                Some(ratio)
-            }
+        let own = model.geotransform().filter(|own| !own.counts_pixels());
+        let is_images = |own: &GeoTransform| georeferences.iter().any(|image| image.differs_px(own) < 0.01);
+        let as_image = match (own, same_picture) {
+            (None, Some(ratio)) => Some(ratio),
+            (Some(own), Some(ratio)) if ratio == (1.0, 1.0) && is_images(&own) => Some(ratio),
             _ => None,
         };
         if let Some(ratio) = as_image {
@@ -197,7 +196,7 @@ fn fit(
     position_crs: Option<String>,
     read: &ReadHeight<'_>,
 ) -> Result<HeightResult> {
-    let mut without_height = Vec::new();
+    let (mut without_height, mut off_model) = (Vec::new(), 0);
     let mut take = |marks: &[FoundMark]| -> Result<Vec<(String, HeightPoint)>> {
         let mut points = Vec::new();
         for mark in marks {
@@ -207,7 +206,10 @@ fn fit(
                 Some((surveyed_m, model_m)) => {
                     points.push((gcp.name.clone(), HeightPoint { position, surveyed_m, model_m }));
                 }
-                None => without_height.push(gcp.name.clone()),
+                None => {
+                    off_model += usize::from(gcp.height.is_some());
+                    without_height.push(gcp.name.clone());
+                }
             }
         }
         Ok(points)
@@ -221,6 +223,9 @@ fn fit(
         )
     })?;
     let chosen = correction.chosen_fit();
+    let surveyed = control.len() + check.len() + off_model;
+    let mut warnings = correction.warnings.clone();
+    warnings.extend((2 * off_model > surveyed && frame != ModelFrame::List).then(|| few_heights(off_model, surveyed)));
     let rows = |points: &[(String, HeightPoint)], left_out: &[f64]| -> Vec<HeightRow> {
         let row = |(i, (name, p)): (usize, &(String, HeightPoint))| HeightRow {
             gcp: name.clone(),
@@ -240,7 +245,15 @@ fn fit(
         points,
         check_points,
         without_height,
-        warnings: correction.warnings.clone(),
+        warnings,
         correction,
     })
+}
+
+/// That the model has little to say of the marks.
+fn few_heights(off_model: usize, surveyed: usize) -> String {
+    format!(
+        "the elevation model has no height at {off_model} of the {surveyed} points with a surveyed one: look whether it \
+         covers the marks, and whether its georeference is the true one"
+    )
 }

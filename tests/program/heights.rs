@@ -131,6 +131,59 @@ fn a_model_in_the_images_grid_is_read_there_and_corrected() {
     assert_eq!(again.status.code(), Some(2));
 }
 
+/// Programs write counted pixels as the georeference of a raster that has none.
+#[test]
+fn a_model_that_counts_pixels_is_in_the_images_grid() {
+    let folder = tempfile::tempdir().expect("a folder");
+    lists(folder.path());
+    let place = |p: PixelPoint| TRUTH.apply(PixelPoint { x: 4.0 * p.x, y: 4.0 * p.y });
+    let path = folder.path().join("dem.tif");
+    model(&path, (400, 300), None, &place);
+    let text = "<PAMDataset><GeoTransform>0, 1, 0, 0, 0, 1</GeoTransform></PAMDataset>";
+    std::fs::write(folder.path().join("dem.tif.aux.xml"), text).expect("writable");
+    assert!(ElevationModel::open(&path).expect("ours").geotransform().is_some_and(|own| own.counts_pixels()));
+    let heights = solve(folder.path(), &["--dem", "dem.tif"])["heights"].clone();
+    assert_eq!((&heights["frame"], heights["points"].as_array().map(Vec::len)), (&"image".into(), Some(14)));
+}
+
+/// A model that covers few of the marks may have been placed wrongly: two of fourteen points fit without a word.
+#[test]
+fn a_model_without_heights_at_most_marks_is_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let marks = lists(folder.path());
+    let at = |east: f64| GeoTransform([east, 0.5, 0.0, 7_032_030.0, 0.0, -0.5]);
+    let mut east: Vec<f64> = marks.iter().map(|(_, m)| m.easting).collect();
+    east.sort_by(f64::total_cmp);
+    let warnings = |first: f64| {
+        let grid = at(first);
+        model(&folder.path().join("dem.tif"), (300, 260), Some((grid, 25832)), &|p| grid.apply(p));
+        let heights = &solve(folder.path(), &["--dem", "dem.tif"])["heights"];
+        heights["warnings"].to_string()
+    };
+    let few = warnings((east[10] + east[11]) / 2.0);
+    assert!(few.contains("no height at 11 of the 14 points"), "{few}");
+    assert!(!warnings(east[0] - 10.0).contains("no height at"));
+}
+
+/// Its first band passed for heights.
+#[test]
+fn a_photograph_is_no_elevation_model() {
+    let folder = tempfile::tempdir().expect("a folder");
+    lists(folder.path());
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
+    let photo = driver.create_with_band_type::<u8, _>(folder.path().join("photo.tif"), 400, 300, 3).expect("created");
+    photo.close().expect("written");
+    let output = Command::cargo_bin("autoref-stream")
+        .expect("built")
+        .current_dir(folder.path())
+        .args(["solve", "candidates.csv", "--gcps", "list.csv", "--size", "1600,1200", "--dem", "photo.tif"])
+        .output()
+        .expect("it runs");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(["photo.tif", "3 bands", "gdal_translate -b 1"].iter().all(|word| said.contains(word)), "{said}");
+}
+
 /// A copy of a model in other numbers: stored values are (height − offset) / scale in the unit.
 fn restated(from: &Path, to: &Path, scale: f64, offset: f64, unit: Option<&str>) {
     let model = ElevationModel::open(from).expect("ours");

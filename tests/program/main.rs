@@ -47,6 +47,7 @@ mod report;
 mod robustness;
 mod schema;
 mod second_pass;
+mod second_run;
 mod selftest;
 mod signals;
 mod solvers;

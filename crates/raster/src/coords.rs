@@ -76,6 +76,11 @@ impl GeoTransform {
             .fold(0.0, f64::max)
     }
 
+    /// Pixels counted as if they were places, rows downwards: what programs write for a raster without a georeference.
+    pub fn counts_pixels(&self) -> bool {
+        self.0 == [0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    }
+
     /// Ground size of a pixel, in map units: √|det|.
     pub fn scale(&self) -> f64 {
         (self.0[1] * self.0[5] - self.0[2] * self.0[4]).abs().sqrt()

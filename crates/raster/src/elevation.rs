@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use gdal::Dataset;
+use gdal::raster::{ColorInterpretation, GdalDataType};
 
 use super::gdal::{Facts, GdalName, initialise_gdal};
 use crate::coords::{GeoTransform, MapPoint, PixelPoint};
@@ -11,6 +12,7 @@ use crate::crs::Crs;
 use crate::error::{Error, Result};
 use crate::height_band::HeightBand;
 use crate::masked;
+use crate::path_text::quoted;
 use crate::window::Window;
 
 /// A raster of heights (band 1 of any type), sampled by position. Heights are in metres: scale, offset and unit of the
@@ -25,10 +27,11 @@ pub struct ElevationModel {
 }
 
 impl ElevationModel {
-    /// Opens band 1 of `path`, any format and type that GDAL reads.
+    /// Opens the band of `path`, any format and type that GDAL reads.
     ///
     /// # Errors
-    /// When GDAL cannot open it, it holds no raster, or its heights are in a unit that is none of length.
+    /// When GDAL cannot open it, it holds no raster, or a picture's bands, or its heights are in a unit that is none of
+    /// length.
     pub fn open(path: &Path) -> Result<Self> {
         initialise_gdal(32 << 20);
         if path.is_dir() {
@@ -39,6 +42,7 @@ impl ElevationModel {
         if dataset.raster_count() == 0 {
             return Err(Error::unsupported(path, "it holds no raster", "give an elevation raster"));
         }
+        refuse_pictures(path, &dataset)?;
         let (width, height) = dataset.raster_size();
         let facts = Facts::of(&dataset);
         // A CRS that PROJ cannot read has no unit of height to tell; who needs the CRS is told elsewhere.
@@ -144,6 +148,26 @@ impl ElevationModel {
             None => Ok(None),
         }
     }
+}
+
+/// Refuses photographs: several bands of colours or of bytes. Of other rasters of several bands (bathymetry with its
+/// uncertainty) the first holds the heights.
+fn refuse_pictures(path: &Path, dataset: &Dataset) -> Result<()> {
+    let of_band = |number: usize| {
+        let band = dataset.rasterband(number).ok()?;
+        let colour = band.color_interpretation();
+        (colour != ColorInterpretation::AlphaBand).then(|| (colour, band.band_type()))
+    };
+    let bands: Vec<_> = (1..=dataset.raster_count()).filter_map(of_band).collect();
+    let is_coloured = bands.iter().any(|(colour, _)| *colour == ColorInterpretation::RedBand);
+    if bands.len() <= 1 || !(is_coloured || bands.iter().all(|(_, kind)| *kind == GdalDataType::UInt8)) {
+        return Ok(());
+    }
+    let remedy = format!(
+        "give the elevation model, or the band with the heights: gdal_translate -b 1 {} heights.tif",
+        quoted(path)
+    );
+    Err(Error::unsupported(path, format!("{} bands, as a picture has, as an elevation model", bands.len()), remedy))
 }
 
 /// The two pixels whose centres lie around `position`, and how far it is from the first to the second (0..1).

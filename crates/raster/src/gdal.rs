@@ -87,14 +87,29 @@ impl GdalName {
     /// # Errors
     /// What GDAL says when no driver recognises the file or the driver cannot open it.
     pub fn open(&self) -> Result<Dataset> {
+        let dataset = self.open_with(DatasetOptions::default())?;
+        jpeg_end::check(&self.path)?;
+        Ok(dataset)
+    }
+
+    /// What it says itself: the files beside it are not looked at. `open_options` are the driver's.
+    ///
+    /// # Errors
+    /// As [`GdalName::open`].
+    pub fn open_alone(&self, open_options: Option<&[&str]>) -> Result<Facts> {
+        // With an empty list GDAL would look for neighbours itself.
+        let own = self.path.file_name().unwrap_or_default().to_string_lossy();
+        let neighbours = [own.as_ref()];
+        let options = DatasetOptions { sibling_files: Some(&neighbours), open_options, ..Default::default() };
+        Ok(Facts::of(&self.open_with(options)?))
+    }
+
+    fn open_with(&self, options: DatasetOptions<'_>) -> Result<Dataset> {
         let flags = GdalOpenFlags::GDAL_OF_READONLY
             | GdalOpenFlags::GDAL_OF_RASTER
             | GdalOpenFlags::GDAL_OF_INTERNAL
             | GdalOpenFlags::GDAL_OF_VERBOSE_ERROR;
-        let options = DatasetOptions { open_flags: flags, ..Default::default() };
-        let dataset = Dataset::open_ex(&self.name, options).map_err(|e| self.error(e))?;
-        jpeg_end::check(&self.path)?;
-        Ok(dataset)
+        Dataset::open_ex(&self.name, DatasetOptions { open_flags: flags, ..options }).map_err(|e| self.error(e))
     }
 
     fn error(&self, error: gdal::errors::GdalError) -> Error {

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{RasterSource, ReaderChoice, gdal, tiff, tile_folder};
+use super::{Georeference, RasterSource, ReaderChoice, gdal, tiff, tile_folder};
 use crate::bounded;
 use crate::error::{Error, Result};
 
@@ -87,6 +87,24 @@ pub fn open_dataset(path: &Path, page: usize) -> Result<(PathBuf, ::gdal::Datase
     let name = gdal_name(path, page)?;
     let dataset = gdal::GdalName { path: path.to_path_buf(), name: name.clone() }.open()?;
     Ok((name, dataset))
+}
+
+/// The georeference inside a file: what a world file, an `.aux.xml` or other files beside it say does not count.
+/// `bytes`: where GDAL finds what the file held earlier, when that is meant.
+///
+/// # Errors
+/// When the file is missing, broken or no raster.
+pub fn georeference_inside(path: &Path, page: usize, bytes: Option<&Path>) -> Result<Georeference> {
+    gdal::initialise_gdal(0);
+    check_file(path)?;
+    let (directory, options) = match tiff::is_tiff(path)? {
+        // GDAL is not told the neighbours of a directory: the sources are named instead.
+        true => (tiff::Directories::read(path)?.page(page)?, Some(&["GEOREF_SOURCES=INTERNAL"][..])),
+        false => (0, None),
+    };
+    let name = gdal::GdalName::new(bytes.unwrap_or(path), directory).name;
+    let facts = gdal::GdalName { path: path.to_path_buf(), name }.open_alone(options)?;
+    Ok(Georeference { transform: facts.geotransform, crs_wkt: facts.crs_wkt })
 }
 
 /// What GDAL opens: an absolute path, a page of one, or a virtual raster of tiles.

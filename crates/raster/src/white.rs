@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use super::{Block, Piece, RasterInfo, RasterSource, ReadStats, SampleType};
+use super::described::Described;
+use super::{RasterSource, SampleType};
 use crate::error::{Error, Result};
-use crate::window::Window;
 
 /// The value of full white: all bits that NBITS (or BitsPerSample) names; else, of 16-bit samples, MaxSampleValue when
 /// it is one less than a power of two above 8 bits, as for 12-bit cameras (any other value is a statistic of the image,
@@ -19,12 +19,6 @@ pub(crate) fn white_of(sample: SampleType, bits: Option<u32>, max_sample_value: 
         (SampleType::U16, Some(max)) if (512..65_535).contains(&(max + 1)) && (max + 1).is_power_of_two() => max as u16,
         (SampleType::U16, _) => 65_535,
     }
-}
-
-/// A raster whose value of full white the caller knows better than the file.
-struct Rescaled {
-    inner: Arc<dyn RasterSource>,
-    info: RasterInfo,
 }
 
 /// The same pixels with another value of full white; `None` leaves what the file says. Samples are never changed:
@@ -46,28 +40,7 @@ pub fn with_white(source: Arc<dyn RasterSource>, white: Option<u16>) -> Result<A
     }
     let mut info = source.info().clone();
     info.white = white;
-    Ok(Arc::new(Rescaled { inner: source, info }))
-}
-
-impl RasterSource for Rescaled {
-    fn info(&self) -> &RasterInfo {
-        &self.info
-    }
-    fn read(&self, window: Window) -> Result<Block> {
-        self.inner.read(window)
-    }
-    fn read_seen(&self, window: Window, see: &mut dyn FnMut(&Piece)) -> Result<Block> {
-        self.inner.read_seen(window, see)
-    }
-    fn prefetch(&self, window: Window) {
-        self.inner.prefetch(window);
-    }
-    fn release(&self, window: Window) {
-        self.inner.release(window);
-    }
-    fn stats(&self) -> ReadStats {
-        self.inner.stats()
-    }
+    Ok(Arc::new(Described { inner: source, info }))
 }
 
 #[cfg(test)]

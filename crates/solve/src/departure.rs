@@ -132,8 +132,9 @@ impl Departure {
         Some(Departure { shape, left_m, handedness, middle, reach_px, coefficients, inverse, radius_m, marks })
     }
 
-    /// How far from where the written transform has a pixel this one has it, metres. Where the marks hardly tell (beside
-    /// a row of them, or far outside), no farther in about 95 of 100 cases, and no less than at the worst of the marks.
+    /// How far from where the written transform has a pixel this one has it, metres. Where the marks hardly tell
+    /// (beside a row of them, or far outside), no farther in about 95 of 100 cases, and no less than at the worst of
+    /// the marks.
     pub fn at_m(&self, pixel: PixelPoint) -> f64 {
         /// Variance of the place, in that of a mark: corners well beyond the marks have eight.
         const MOST_UNSURE: f64 = 25.0;

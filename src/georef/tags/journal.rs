@@ -11,7 +11,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::store::Store;
+use super::store::{Imagined, Store};
 use autoref_raster::error::{Error, Result};
 
 /// Last bytes of an edited file.
@@ -239,6 +239,24 @@ pub fn read(path: &Path, store: &dyn Store) -> Result<Record> {
 /// When the system says no; the image is the new or the old one then, and the undoing can be repeated.
 pub fn undo(store: &mut dyn Store, record: &Record) -> io::Result<()> {
     restore(store, record.old_length, &record.patches)
+}
+
+/// Takes back all edits of a file as it would be: their records, the last one first.
+///
+/// # Errors
+/// As [`read`], for each of them.
+pub fn undo_all(path: &Path, imagined: &mut Imagined<'_>) -> Result<Vec<Record>> {
+    let io = |e| Error::io(path, "read", e);
+    let mut all = Vec::new();
+    loop {
+        let record = read(path, imagined)?;
+        undo(imagined, &record).map_err(io)?;
+        let more_below = has_record(imagined, record.old_length).map_err(io)?;
+        all.push(record);
+        if !more_below {
+            return Ok(all);
+        }
+    }
 }
 
 /// Whether a file that is `length` bytes long would end with an undo record.

@@ -11,6 +11,7 @@ mod faults;
 mod journal;
 pub(super) mod keys;
 pub mod store;
+mod untagged;
 
 use std::fs::{File, OpenOptions};
 use std::path::{Path, PathBuf};
@@ -29,6 +30,7 @@ use autoref_raster::tiff::is_tiff;
 pub use cog::TagOptions;
 pub use journal::Plan;
 pub use keys::RasterType;
+pub(super) use untagged::Untagged;
 
 const LOCK_ATTEMPTS: u32 = 40;
 const LOCK_PAUSE: Duration = Duration::from_millis(50);
@@ -134,18 +136,15 @@ pub fn undo(image: &Path, how: Undo) -> Result<Undone> {
 /// As [`undo`], for each of them.
 pub fn would_undo_all(image: &Path) -> Result<Vec<Undone>> {
     let file = open_for_writing(image)?;
-    let io = |e| Error::io(image, "read", e);
-    let mut imagined = Imagined::of(&file).map_err(io)?;
-    let mut all = Vec::new();
-    loop {
-        let record = journal::read(image, &imagined)?;
-        journal::undo(&mut imagined, &record).map_err(io)?;
-        let more_below = journal::has_record(&imagined, record.old_length).map_err(io)?;
-        all.push(Undone { length_bytes: record.old_length, program: record.program, more_below });
-        if !more_below {
-            return Ok(all);
-        }
-    }
+    let mut imagined = Imagined::of(&file).map_err(|e| Error::io(image, "read", e))?;
+    let records = journal::undo_all(image, &mut imagined)?;
+    let last = records.len().saturating_sub(1);
+    let undone = |(index, record): (usize, journal::Record)| Undone {
+        length_bytes: record.old_length,
+        program: record.program,
+        more_below: index < last,
+    };
+    Ok(records.into_iter().enumerate().map(undone).collect())
 }
 
 /// Whether the file ends with an undo record.

@@ -42,6 +42,21 @@ impl<'a> Imagined<'a> {
     pub fn of(file: &'a dyn Store) -> io::Result<Self> {
         Ok(Imagined { file, length: file.length()?, written: Vec::new() })
     }
+
+    /// The stretches (position, length) of the imagined file, one behind the other; each is the file's as it is, or
+    /// written over throughout.
+    pub fn stretches(&self) -> Vec<(u64, u64)> {
+        let ends = self.written.iter().flat_map(|(at, bytes)| [*at, at + bytes.len() as u64]);
+        let mut cuts: Vec<u64> = [0, self.length].into_iter().chain(ends.filter(|&at| at < self.length)).collect();
+        cuts.sort_unstable();
+        cuts.dedup();
+        cuts.windows(2).map(|pair| (pair[0], pair[1] - pair[0])).collect()
+    }
+
+    /// Whether what is at a position was written over.
+    pub fn is_written(&self, at: u64) -> bool {
+        self.written.iter().any(|(from, bytes)| (*from..from + bytes.len() as u64).contains(&at))
+    }
 }
 
 impl Store for Imagined<'_> {

@@ -176,9 +176,9 @@ impl Refiner {
         best
     }
 
-    /// The same with a dot as large as the scan shows it: exposure, a burnt-out scan or the camera's file make it larger
-    /// or smaller evenly. Of a dot drawn too small a fit that gives edges that are off no weight holds one side. What
-    /// does not fit the mark as the file has it still counts as its misfit.
+    /// The same with a dot as large as the scan shows it: exposure, a burnt-out scan or the camera's file make it
+    /// larger or smaller evenly. Of a dot drawn too small a fit that gives edges that are off no weight holds one side.
+    /// What does not fit the mark as the file has it still counts as its misfit.
     fn sized(&self, grey: &Grey, found: Refined) -> Refined {
         let apart = |axis: usize| found.covariance_px2[axis] > AGREE_PX * AGREE_PX;
         let is_other = found.misfit >= DAMAGED || found.swell_px.abs() > AS_LARGE_PX || apart(0) || apart(2);

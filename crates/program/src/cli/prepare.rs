@@ -8,8 +8,9 @@ use autoref_raster::coords::{GeoTransform, Handedness};
 use autoref_raster::crs::Crs;
 use autoref_raster::mask::{Element, LONGEST_SIDE_PX};
 use autoref_raster::memory_plan::{PlanOptions, ScanPlan};
-use autoref_raster::{self as raster, RasterInfo, RasterSource, ReaderChoice};
+use autoref_raster::{self as raster, Georeference, RasterInfo, RasterSource, ReaderChoice};
 use autoref_stream::gcp::{self, GcpOptions};
+use autoref_stream::georef::beneath;
 use autoref_stream::matching::{Matcher, MirrorMatcher, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::asked::Asked;
@@ -21,7 +22,10 @@ use autoref_raster::words::counted;
 
 /// An opened image with the detector and the plan for scanning it.
 pub struct Prepared {
+    /// With the georeference that the image had before any run of this program.
     pub source: Arc<dyn RasterSource>,
+    /// What an earlier run has written over that.
+    pub written: Option<GeoTransform>,
     pub detector: MarkDetector,
     pub plan: ScanPlan,
     /// What the plan was made with.
@@ -64,8 +68,14 @@ pub fn open(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -
     });
     let source = source.map_err(|error| of_a_list(image, error))?;
     let source = raster::with_white(source, read.white)?;
+    let (source, written) = as_it_came(source, read.page);
     let info = source.info();
     let gsd_m = gsd.map(Gsd::middle_m).or_else(|| known_gsd(info));
+    if gsd_m.is_none() && matches!(marks.mark_size, Some(MarkSize::Metres(..))) {
+        bail!(
+            "--mark-size gives a length, and the ground size of a pixel is not known; give --gsd, or the size in pixels"
+        );
+    }
     let detector = MarkDetector::with_colours(profile, colours?, info, gsd_m)?;
     let options = PlanOptions {
         tile_px: read.tile,
@@ -86,7 +96,24 @@ pub fn open(image: &Path, read: &ReadArgs, marks: &MarkArgs, gsd: Option<Gsd>) -
     );
     tracing::info!("memory plan: {}", plan.line());
     let asked = asked(marks, gsd_m);
-    Ok(Prepared { source, detector, plan, options, asked })
+    Ok(Prepared { source, written, detector, plan, options, asked })
+}
+
+/// The image with the georeference that it came with, so that a second run says what the first one said; beside it the
+/// one that an earlier run wrote. Counted pixels are no georeference.
+fn as_it_came(source: Arc<dyn RasterSource>, page: usize) -> (Arc<dyn RasterSource>, Option<GeoTransform>) {
+    let info = source.info();
+    let shown = Georeference { transform: info.geotransform, crs_wkt: info.crs_wkt.clone() };
+    let beneath = beneath::beneath(info, page);
+    let written = shown.transform.filter(|_| beneath.is_some());
+    if let Some(beneath) = &beneath {
+        let what = if beneath.transform.is_some() { "the one beneath counts" } else { "what was beneath is not known" };
+        tracing::info!("{}: its georeference is of an earlier run: {what}", info.path.display());
+    }
+    let mut came = beneath.unwrap_or_else(|| shown.clone());
+    came.transform = came.transform.filter(|own| !own.counts_pixels());
+    let source = if came == shown { source } else { raster::with_georeference(source, came) };
+    (source, written)
 }
 
 fn profile(marks: &MarkArgs) -> anyhow::Result<Profile> {
@@ -182,9 +209,7 @@ pub fn priors(info: &RasterInfo, matching: &MatchArgs) -> Vec<Priors> {
 
 /// Mirrored, where the image's own georeference is: rows that go north, or columns that go west.
 pub fn own_handedness(info: &RasterInfo, matching: &MatchArgs) -> Option<Handedness> {
-    // Pixels counted as if they were places are no georeference.
-    const PIXELS: [f64; 6] = [0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-    let GeoTransform(g) = info.geotransform.filter(|own| matching.prior == PriorArg::Auto && own.0 != PIXELS)?;
+    let GeoTransform(g) = info.geotransform.filter(|_| matching.prior == PriorArg::Auto)?;
     (g[1] * g[5] - g[2] * g[4] > 0.0).then_some(Handedness::Mirrored)
 }
 

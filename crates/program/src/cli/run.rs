@@ -10,8 +10,8 @@ use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::error::Error;
 use autoref_raster::memory_plan;
 use autoref_stream::gcp::{self, GcpList};
-use autoref_stream::georef::dialects;
 use autoref_stream::georef::write::WriteRequest;
+use autoref_stream::georef::{beneath, dialects};
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::colour_search::{ColourSearch, MOST_CLUSTERS, colour_search};
@@ -112,7 +112,8 @@ pub fn first_look(args: &LookArgs) -> anyhow::Result<RunResult> {
     let image = args.image.as_deref().context("no image: name one")?;
     let gcp_file = args.gcps.path()?;
     let marks = args.paint.of(&args.marks);
-    let Prepared { source, detector, plan, asked, .. } = prepare::open(image, &args.read, &marks, args.matching.gsd)?;
+    let Prepared { source, written, detector, plan, asked, .. } =
+        prepare::open(image, &args.read, &marks, args.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     args.solving.check(Existing::Keep)?;
     let info = source.info();
@@ -139,7 +140,7 @@ pub fn first_look(args: &LookArgs) -> anyhow::Result<RunResult> {
     })?;
     bar.finish();
     let mut document = Document::new(&list, gcp_file, &run.outcome, run.scan.candidates);
-    args.solving.apply(&mut document.result, &run.outcome, &list, &solving::ImagePlace::of(info))?;
+    args.solving.apply(&mut document.result, &run.outcome, &list, &solving::ImagePlace::of(info, written))?;
     Ok(document.result)
 }
 
@@ -150,7 +151,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let gcp_file = args.look.gcps.path()?;
     let marks = args.look.paint.of(&args.look.marks);
     let opening = tracing::info_span!("open").entered();
-    let Prepared { source, detector, plan, asked, .. } =
+    let Prepared { source, written, detector, plan, asked, .. } =
         prepare::open(image, &args.look.read, &marks, args.look.matching.gsd)?;
     let list = gcp::read(gcp_file, &args.look.gcps.options(Some(source.info())))?;
     accuracy::check_nssda(&args.look.gcps.accuracy, &list)?;
@@ -200,7 +201,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
         (source.as_ref(), &args.look.paint.of(&args.look.marks).profile),
     )?;
     document.result.memory_plan = Some(plan.clone());
-    let place = solving::ImagePlace::of(info);
+    let place = solving::ImagePlace::of(info, written);
     let dem = args.look.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
     accuracy::state(&mut document.result, &list, &args.look.gcps.accuracy, (info.width as f64, info.height as f64));
     working_crs::deliver(&mut document.result, &list, place.size_px)?;
@@ -249,7 +250,7 @@ impl RunArgs {
         )?;
         request.check_local(list.crs.as_ref())?;
         dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
-        let json = json_path(&request);
+        let json = beneath::result_path(&request.base);
         let report = self.report.wanted().then(|| report::path(&json));
         let existing = Existing::of_flag(self.write.overwrite);
         let outputs: Vec<&Path> = [Some(&json), report.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
@@ -385,10 +386,6 @@ const PARTS_LEAVE: f64 = 0.5;
 
 fn residuals_px(found: &Orientation) -> f64 {
     residual_rms_px(found.solution.pairs.iter().map(|pair| pair.residual_px), 2.0)
-}
-
-fn json_path(request: &WriteRequest) -> PathBuf {
-    request.base.with_extension("autoref.json")
 }
 
 fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {

@@ -64,7 +64,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
     let mut document = Document::new(&list, args.gcps.path()?, &outcome, candidates);
     document.result.options = serde_json::json!({"priors": priors, "max_false_alarms": args.matching.max_false_alarms});
     document.result.timings.match_s = match_started.elapsed().as_secs_f64();
-    let place = ImagePlace { size_px: size, georeference: None };
+    let place = ImagePlace { size_px: size, georeferences: Vec::new() };
     let dem = args.solving.apply(&mut document.result, &outcome, &list, &place)?;
     let seen = document.result.extent_px();
     accuracy::state(&mut document.result, &list, &args.gcps.accuracy, seen);

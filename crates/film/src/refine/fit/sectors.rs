@@ -1,10 +1,10 @@
 //! How far the parts of a mark disagree about its centre.
 //!
 //! What the drawn mark does not tell (a scratch over an edge, a dot that is larger than drawn) lies beside the normal
-//! equations: pixels off by more than noise get no weight, and what is left agrees with itself wherever it lies. So each
-//! of eight sectors is asked how far it would pull the centre if its pixels were believed, those without weight too. The
-//! sum of their squares is the covariance of sums that are alike within a sector and independent between them (K.-Y.
-//! Liang and S. Zeger, "Longitudinal data analysis using generalized linear models", Biometrika, 1986).
+//! equations: pixels off by more than noise get no weight, and what is left agrees with itself wherever it lies. So
+//! each of eight sectors is asked how far it would pull the centre if its pixels were believed, those without weight
+//! too. The sum of their squares is the covariance of sums that are alike within a sector and independent between them
+//! (K.-Y. Liang and S. Zeger, "Longitudinal data analysis using generalized linear models", Biometrika, 1986).
 
 use nalgebra::DMatrix;
 

@@ -22,8 +22,8 @@ const SIDE: usize = 12;
 /// Ground farther than this many heights is not drawn: beyond it lies the horizon.
 const FARTHEST_HEIGHTS: f64 = 15.0;
 
-/// Camera − table, by frame and together, metres on the ground: Δx, Δy, Δz with their signs, and d = √(Δx² + Δy² + Δz²) (thesis of 2017,
-/// equation 9.2, which prints the sizes alone).
+/// Camera − table, by frame and together, metres on the ground: Δx, Δy, Δz with their signs, and
+/// d = √(Δx² + Δy² + Δz²) (thesis of 2017, equation 9.2, which prints the sizes alone).
 pub fn rough_differences(
     found: &Adjustment,
     model: &Reconstruction,

@@ -17,12 +17,15 @@ use crate::cli::lengths::length;
 /// What is known of the image's size and place.
 pub struct ImagePlace {
     pub size_px: Option<(f64, f64)>,
-    pub georeference: Option<GeoTransform>,
+    /// The georeference that the image came with, and the one that an earlier run wrote, where there are.
+    pub georeferences: Vec<GeoTransform>,
 }
 
 impl ImagePlace {
-    pub fn of(info: &RasterInfo) -> Self {
-        ImagePlace { size_px: Some((info.width as f64, info.height as f64)), georeference: info.geotransform }
+    /// Of an image over whose georeference an earlier run has `written`.
+    pub fn of(info: &RasterInfo, written: Option<GeoTransform>) -> Self {
+        let georeferences = [info.geotransform, written].into_iter().flatten().collect();
+        ImagePlace { size_px: Some((info.width as f64, info.height as f64)), georeferences }
     }
 }
 
@@ -82,8 +85,8 @@ impl Comparison<'_> {
     ) -> anyhow::Result<Option<DemCopy>> {
         let name = self.dem.display().to_string();
         let model = ElevationModel::open(self.dem)?;
-        let placed =
-            PlacedModel::new(model, &name, place.size_px, place.georeference, list.crs.as_ref())?.over(self.area_cells);
+        let placed = PlacedModel::new(model, &name, place.size_px, &place.georeferences, list.crs.as_ref())?
+            .over(self.area_cells);
         let to_map = |p: MapPoint| {
             let mut point = [Coordinate { x: p.easting, y: p.northing, height: None }];
             list.working_crs.leave(&mut point)?;
