@@ -22,7 +22,7 @@ pub(crate) fn white_of(sample: SampleType, bits: Option<u32>, max_sample_value: 
 }
 
 /// The same pixels with another value of full white; `None` leaves what the file says. Samples are never changed:
-/// everything that scales them does so by [`RasterInfo::white`].
+/// everything that scales them does so by [`crate::RasterInfo::white`].
 ///
 /// # Errors
 /// [`Error::Usage`] when no sample of the image can reach that value, or it is 0.
