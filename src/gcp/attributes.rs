@@ -25,6 +25,12 @@ pub(super) struct Told {
     no_points: Vec<(usize, String)>,
 }
 
+/// Of several points in one feature none can be named: points are not passed over.
+pub(super) fn no_single_point(path: &Path, number: usize) -> Error {
+    let what = "it must be a point, it is a MultiPoint of several or none; give each point its own feature";
+    Error::format(path, format!("feature {number}"), what)
+}
+
 /// Features that are named in one note.
 const NAMED: usize = 5;
 

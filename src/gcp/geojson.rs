@@ -39,8 +39,12 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<RawList> {
     let ours = |f: &Value| !matches!(f["properties"]["layer"].as_str(), Some("mark" | "residual"));
     let (mut points, mut told) = (Vec::new(), Told::default());
     for (index, feature) in features.iter().enumerate().filter(|(_, feature)| ours(feature)) {
+        let found = feature["geometry"]["type"].as_str().unwrap_or("no geometry");
         let Some(coordinates) = coordinates(&feature["geometry"]) else {
-            told.no_point(index + 1, feature["geometry"]["type"].as_str().unwrap_or("no geometry"));
+            if found == "MultiPoint" {
+                return Err(attributes::no_single_point(path, index + 1));
+            }
+            told.no_point(index + 1, found);
             continue;
         };
         let (point, title) = point(path, index, feature, coordinates, &mut told)?;

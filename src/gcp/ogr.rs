@@ -86,6 +86,9 @@ fn read(path: &Path, wanted: Option<&str>) -> Result<RawList> {
             continue;
         };
         let Some(at) = only_point(geometry) else {
+            if geometry_type_flatten(geometry.geometry_type()) == OGRwkbGeometryType::wkbMultiPoint {
+                return Err(attributes::no_single_point(path, i + 1));
+            }
             told.no_point(i + 1, geometry.geometry_name());
             continue;
         };

@@ -29,7 +29,12 @@ impl Columns {
             |(_, word, said): &(&str, &str, Said)| *said == Said::Unknown || word.eq_ignore_ascii_case("cp");
         let is_check = cells.iter().any(|(_, _, said)| *said == Said::Role(GcpRole::Check));
         let taken = if is_check { GcpRole::Check } else { GcpRole::Control };
-        if cells.iter().any(|cell| !is_unclear(cell) && cell.2 == Said::Role(taken)) {
+        // That a point is enabled does not say that it is a control point.
+        let enabled = self.enabled.and_then(|column| self.titles.get(column)).map(|title| title.trim());
+        let settles = |cell: &(&str, &str, Said)| {
+            !is_unclear(cell) && cell.2 == Said::Role(taken) && (is_check || Some(cell.0) != enabled)
+        };
+        if cells.iter().any(settles) {
             return Vec::new();
         }
         let decides = |cell: &&(&str, &str, Said)| is_unclear(cell) && (!is_check || cell.2 == Said::Role(taken));

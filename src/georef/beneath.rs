@@ -14,7 +14,7 @@ use autoref_raster::error::Result;
 use autoref_raster::{Georeference, RasterInfo, bounded, georeference_inside, tile_folder};
 
 /// Transforms that put no pixel farther apart are one: world files are rounded.
-const SAME_PX: f64 = 1e-3;
+pub const SAME_PX: f64 = 1e-3;
 /// No photogrammetry agrees so well with the marks: a prior that does is the result.
 const REPEATED_PX: f64 = 0.01;
 
@@ -48,8 +48,7 @@ pub fn beneath(info: &RasterInfo, page: usize) -> Option<Georeference> {
         false => inside(image, page, None),
     };
     match inside.transform {
-        // What the run wrote may have been copied into the file.
-        Some(own) if is_shown(&own) => Some(of_result(recorded.as_ref(), &shown).flatten().unwrap_or_default()),
+        // A copy of an earlier result is an image that lies right.
         Some(_) => Some(inside),
         None => match of_result(recorded.as_ref(), &shown) {
             Some(prior) => Some(prior.unwrap_or(inside)),
@@ -94,9 +93,21 @@ fn aux(image: &Path) -> Option<GeoTransform> {
     sidecar::transform_of_own_aux(&text)
 }
 
-/// The transform of a world file.
+/// The transform of a world file, by any of the names that GDAL looks for: `e6.tfw`, `e6.tifw`, `e6.wld`, in small and
+/// in capital letters.
 fn world(image: &Path) -> Option<GeoTransform> {
-    let text = bounded::read_to_string(&sidecar::world_file_path(image), "a world file", bounded::TEXT_BYTES).ok()?;
+    let extension = image.extension().map(|extension| extension.to_string_lossy().into_owned()).unwrap_or_default();
+    let names = [sidecar::world_file_path(image), image.with_extension(extension + "w"), image.with_extension("wld")];
+    let in_capitals = names.clone().map(|name| {
+        let extension = name.extension().map(|extension| extension.to_string_lossy().to_uppercase());
+        name.with_extension(extension.unwrap_or_default())
+    });
+    let in_small = names.clone().map(|name| {
+        let extension = name.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+        name.with_extension(extension.unwrap_or_default())
+    });
+    let found = names.into_iter().chain(in_small).chain(in_capitals).find(|name| name.is_file())?;
+    let text = bounded::read_to_string(&found, "a world file", bounded::TEXT_BYTES).ok()?;
     sidecar::transform_of_world(&text)
 }
 

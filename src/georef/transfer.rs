@@ -46,8 +46,9 @@ pub fn carry(result: &RunResult, other: &Path, edges: Edges) -> Result<RunResult
     let prior = recorded.filter(|prior| !beneath::repeats(&prior.geotransform, &transform));
     if recorded.is_some() && prior.is_none() && own.is_some() && !same_extent {
         return Err(Error::usage(
-            format!("{}: the result has itself for what the image had before", other.display()),
-            "run the job on the image again, or give --same-extent if their outer edges coincide",
+            format!("{}: the image had the result's georeference already when the run began", other.display()),
+            "rasters made from it as it was lie right; for others run the job on the image as it came, or give \
+             --same-extent if their outer edges coincide",
         ));
     }
     let same_size = (width as u64, height as u64) == (image.width, image.height);

@@ -15,7 +15,7 @@ pub struct Asked {
 
 impl Asked {
     pub(super) fn is_something(&self) -> bool {
-        self.size.is_some() || self.rule.is_some()
+        self.size.is_some() || self.rule.as_ref().is_some_and(|rule| !rule.asks_of_colour())
     }
 
     /// Another paint's profile with size and rules.
@@ -24,9 +24,9 @@ impl Asked {
         Profile { size, ..self.ruled(profile) }
     }
 
-    /// A profile with the rules; its size is known better.
+    /// A profile with the rules, but for those that ask of another paint's colour; its size is known better.
     pub(super) fn ruled(&self, mut profile: Profile) -> Profile {
-        if let Some(asked) = &self.rule {
+        if let Some(asked) = self.rule.as_ref().filter(|rule| !rule.asks_of_colour()) {
             profile.gates.rule = Some(match profile.gates.rule.take() {
                 Some(own) => own.and(asked.clone()),
                 None => asked.clone(),

@@ -124,6 +124,20 @@ impl Rule {
         holds(&self.node, value)
     }
 
+    /// Whether it asks how far colours are from the profile's paint, which is another number of another paint.
+    pub fn asks_of_colour(&self) -> bool {
+        const OF_COLOUR: [Property; 3] = [Property::MeanDistance, Property::MinDistance, Property::MaxDistance];
+        let of = |operand: &Operand| matches!(operand, Operand::Property(property) if OF_COLOUR.contains(property));
+        fn any(node: &Node, of: &dyn Fn(&Operand) -> bool) -> bool {
+            match node {
+                Node::Compare(a, _, b) => of(a) || of(b),
+                Node::And(nodes) | Node::Or(nodes) => nodes.iter().any(|node| any(node, of)),
+                Node::Not(node) => any(node, of),
+            }
+        }
+        any(&self.node, &of)
+    }
+
     /// Both rules.
     pub fn and(self, other: Rule) -> Rule {
         Rule { text: format!("({}) and ({})", self.text, other.text), node: Node::And(vec![self.node, other.node]) }

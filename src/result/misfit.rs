@@ -202,10 +202,11 @@ fn departs(result: &RunResult, run: &SolvedRun, rmse_px: f64) -> Option<Misfit> 
     let handedness = run.solution.as_ref().map_or_else(written, |solution| solution.similarity.mirrored);
     let departure = Departure::of(&residuals(rows), handedness, middle(result, rows))?;
     let size_px = result.extent_px();
-    let corners_m = Corner::CLOCKWISE.map(|corner| departure.at_m(corner.place(size_px)));
-    let corner_px = corners_m.into_iter().fold(0.0, f64::max) / scale;
+    let corners = Corner::CLOCKWISE.map(|corner| corner.place(size_px));
+    let most_px = |of: &dyn Fn(PixelPoint) -> f64| corners.iter().map(|at| of(*at)).fold(0.0, f64::max) / scale;
+    let (corner_px, fitted_px) = (most_px(&|at| departure.at_m(at)), most_px(&|at| departure.fitted_m(at)));
     let left_px = departure.left_m / scale;
-    let is_worth_saying = rmse_px.max(corner_px) >= LEAST_STRETCH_PX;
+    let is_worth_saying = rmse_px.max(fitted_px) >= LEAST_STRETCH_PX;
     is_worth_saying.then_some(Misfit::Departs { rmse_px, left_px, corner_px, departure })
 }
 

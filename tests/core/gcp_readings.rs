@@ -102,6 +102,8 @@ fn roles_in_many_words() {
     // Each word by what its own column makes of it.
     says(&with("check", &["skip", "no"]), "`skip` in `check` was taken for a control point");
     says(&with("enabled", &["CP", "yes"]), "`CP` in `enabled` was taken for a control point");
+    let in_use = read("name,easting,northing,type,enabled\nA,1.5,2.5,Verif,yes\nB,3.5,2.5,GCP,yes\n");
+    says(&in_use, "`Verif` in `type` was taken for a control point");
     // What another column says of the point settles it.
     let settled = read("name,easting,northing,type,check\nA,1.5,2.5,tree,no\nB,3.5,2.5,tree,yes\nC,5.5,2.5,CP,yes\n");
     assert_eq!(checks(&settled), [false, true, true]);
@@ -232,6 +234,11 @@ fn what_is_no_point_is_passed_over_where_there_are_points() {
     says(&list, "passed over, no points: feature 2 (LineString), feature 4 (no geometry)");
     let error = read_as("l.geojson", Some("EPSG:25832"), &geojson(&[boundary])).expect_err("no point");
     assert!(error.contains("feature 1") && error.contains("LineString"), "{error}");
+
+    let two = feature(r#"{"type":"MultiPoint","coordinates":[[500200,6600300],[500201,6600301]]}"#, "D");
+    let point = feature(r#"{"type":"Point","coordinates":[500100.5,6600200.5]}"#, "A");
+    let error = read_as("l.geojson", Some("EPSG:25832"), &geojson(&[point, two])).expect_err("two points in one");
+    assert!(error.contains("feature 2") && error.contains("MultiPoint"), "{error}");
 
     let placemark = |name: &str, geometry: &str| format!("<Placemark><name>{name}</name>{geometry}</Placemark>");
     let kml = |marks: &[String]| {

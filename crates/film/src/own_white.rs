@@ -9,7 +9,10 @@ use super::window::read_rows;
 /// Values that stay below this share of white look flat, as what differs by less than half an 8-bit level does.
 const LITTLE: u16 = 64;
 
-/// The same pixels with their largest value for white.
+/// One pixel of so many may be brighter than white: defects of the sensor.
+const DEFECTS: u64 = 100_000;
+
+/// The same pixels with their largest value for white, but for single ones.
 pub(super) struct OwnWhite<'a> {
     inner: &'a dyn RasterSource,
     info: RasterInfo,
@@ -25,11 +28,18 @@ impl<'a> OwnWhite<'a> {
         if info.sample != SampleType::U16 {
             return Ok(None);
         }
-        let mut largest = 0;
+        let mut counts = vec![0u64; 1 << 16];
         read_rows(source, &mut |row| {
-            largest = row.iter().copied().max().unwrap_or(0).max(largest);
+            row.iter().for_each(|&value| counts[usize::from(value)] += 1);
             Ok(())
         })?;
+        let most_above = info.width * info.height / DEFECTS;
+        let mut above = 0;
+        let is_reached = |&value: &usize| {
+            above += counts[value];
+            above > most_above
+        };
+        let largest = (0..counts.len()).rev().find(is_reached).unwrap_or(0) as u16;
         let fills_little = largest > 0 && largest < info.white / LITTLE;
         Ok(fills_little.then(|| OwnWhite { inner: source, info: RasterInfo { white: largest, ..info.clone() } }))
     }
@@ -115,6 +125,11 @@ mod tests {
             GreySource::new(Path::new("small.tif"), SIDE as u64, SIDE as u64, data)
         };
         assert!(OwnWhite::of(&scan(4095.0)).expect("memory").is_none(), "12 bits show them as they are");
+        let hot = |value: f32| (value * 255.0).round() as u16;
+        let mut data: Vec<u16> = values.iter().map(|v| hot(*v)).collect();
+        (data[7], data[70_007]) = (u16::MAX, 5_000);
+        let hot = GreySource::new(Path::new("hot.tif"), SIDE as u64, SIDE as u64, data);
+        assert!(OwnWhite::of(&hot).expect("memory").is_some_and(|scan| scan.white() < 256), "two hot pixels");
         // In smaller boxes of so small a frame specks would agree by chance.
         let options = FindOptions { pixel_um: Some(40.0), box_share: 0.2, ..FindOptions::default() };
         let frame = Finder::new(&camera).expect("drawn").find(&scan(255.0), &options).expect("memory");

@@ -138,11 +138,9 @@ impl Departure {
     pub fn at_m(&self, pixel: PixelPoint) -> f64 {
         /// Variance of the place, in that of a mark: corners well beyond the marks have eight.
         const MOST_UNSURE: f64 = 25.0;
-        let u = place(pixel, self.handedness, self.middle, self.reach_px);
-        let terms = self.shape.terms(u);
-        let row = RowDVector::from_row_slice(&terms);
+        let row = RowDVector::from_row_slice(&self.terms(pixel));
         let unsure = (&row * &self.inverse * row.adjoint())[(0, 0)].re;
-        let off_m = terms.iter().zip(&self.coefficients).map(|(term, c)| term * c).sum::<Number>().norm();
+        let off_m = self.fitted_m(pixel);
         if unsure <= MOST_UNSURE {
             return off_m;
         }
@@ -152,6 +150,15 @@ impl Departure {
             Shape::Bent => at_most_m.min(self.marks.second_degree_m(pixel)),
         };
         at_most_m.max(self.marks.worst_m)
+    }
+
+    /// The same as the marks have it, however little they tell of the place, metres.
+    pub fn fitted_m(&self, pixel: PixelPoint) -> f64 {
+        self.terms(pixel).iter().zip(&self.coefficients).map(|(term, c)| term * c).sum::<Number>().norm()
+    }
+
+    fn terms(&self, pixel: PixelPoint) -> Vec<Number> {
+        self.shape.terms(place(pixel, self.handedness, self.middle, self.reach_px))
     }
 }
 

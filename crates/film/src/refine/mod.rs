@@ -89,6 +89,8 @@ pub struct Refiner {
     softer: Option<Softer>,
     /// The same with dots and their rings larger and smaller.
     sizes: Option<Sizes>,
+    /// Whether the covariance has in it how far the mark's sectors disagree.
+    is_dot: bool,
     unlike: f32,
     slopes: bool,
     /// For marks of lines, how far around a start is tried where the mark is damaged.
@@ -100,6 +102,12 @@ fn has_lines(model: &Model) -> bool {
     matches!(model, Model::Drawn(MarkKind::Cross { .. } | MarkKind::RingCross { .. }))
 }
 
+/// Dots are as drawn but for their size: what does not fit them is a scratch or light. Lines, teeth and learned marks
+/// differ from their drawings all around, which would count as doubt.
+fn is_dot(model: &Model) -> bool {
+    matches!(model, Model::Drawn(MarkKind::Dot { .. }))
+}
+
 impl Refiner {
     /// `radius_mm`: what lies further from the reference point takes no part. `None` for a degenerate pose.
     pub fn new(model: &Model, linear: Linear, radius_mm: f64) -> Option<Refiner> {
@@ -108,6 +116,7 @@ impl Refiner {
             surface: Surface::new(model, linear, radius_mm, SHARP_PX)?,
             softer: has_lines(model).then(|| Softer::of(model, linear, radius_mm)),
             sizes: Sizes::of(model, linear, radius_mm),
+            is_dot: is_dot(model),
             unlike: if model.is_drawn() { 0.0 } else { UNLIKE },
             slopes: model.is_drawn() && model.shows_image(),
             around_px: model.sectors_deg().map(|_| AROUND_PX.max(model.detail_mm() * px_per_mm)),
@@ -184,30 +193,31 @@ impl Refiner {
         let is_other = found.misfit >= DAMAGED || found.swell_px.abs() > AS_LARGE_PX || apart(0) || apart(2);
         let Some(sizes) = self.sizes.as_ref().filter(|_| is_other) else { return found };
         let as_drawn = self.left_over(&self.surface, grey, found.centre);
-        let (mut best, mut least) = (found, as_drawn);
-        for way in [Sizes::larger, Sizes::smaller] {
-            for surface in way(sizes) {
-                let other = self.settle(surface, grey, best.centre, &|_, _| true).filter(|r| r.contrast > 0.0);
-                let Some(other) = other else { break };
+        let is_near = |r: &Refined| (r.centre.x - found.centre.x).hypot(r.centre.y - found.centre.y) < MOST_PX;
+        let go = |surfaces: Box<dyn Iterator<Item = &Surface> + '_>| {
+            let (mut best, mut least) = (found, as_drawn);
+            for surface in surfaces {
+                let other = self.settle(surface, grey, best.centre, &|_, _| true);
+                let Some(other) = other.filter(|r| r.contrast > 0.0 && is_near(r)) else { break };
                 let left = self.left_over(surface, grey, other.centre);
                 if left >= least {
                     break;
                 }
                 (best, least) = (Refined { misfit: found.misfit, ..other }, left);
             }
-            if least < as_drawn {
-                break;
-            }
-        }
+            (best, least)
+        };
+        let (larger, smaller) = (go(sizes.larger()), go(sizes.smaller()));
+        let (best, least) = if smaller.1 < larger.1 { smaller } else { larger };
         if least < CLEARLY_LESS * as_drawn { best } else { found }
     }
 
     fn settle(&self, surface: &Surface, grey: &Grey, start: PixelPoint, hopeful: &Hopeful) -> Option<Refined> {
-        let unlike = self.unlike;
+        let (unlike, is_dot) = (self.unlike, self.is_dot);
         if self.slopes {
-            widest(Descent::<6, 4> { surface, unlike, grey, start, hopeful })
+            widest(Descent::<6, 4> { surface, unlike, is_dot, grey, start, hopeful })
         } else {
-            widest(Descent::<4, 2> { surface, unlike, grey, start, hopeful })
+            widest(Descent::<4, 2> { surface, unlike, is_dot, grey, start, hopeful })
         }
     }
 
@@ -278,6 +288,7 @@ type Hopeful<'a> = dyn Fn(PixelPoint, f64) -> bool + 'a;
 struct Descent<'a, const N: usize, const M: usize> {
     surface: &'a Surface,
     unlike: f32,
+    is_dot: bool,
     grey: &'a Grey,
     start: PixelPoint,
     /// Asked before all pixels are taken.
@@ -290,7 +301,7 @@ impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
     /// Of a large mark on some of its pixels while the centre still moves, then on all.
     #[inline(always)]
     fn run(self) -> Option<Refined> {
-        let Descent { surface, unlike, grey, start, hopeful } = self;
+        let Descent { surface, unlike, is_dot, grey, start, hopeful } = self;
         let mut c = grey.from_scan(start);
         let mut fit = Fit::<N, M>::new(unlike);
         let is_large = (0..2).flat_map(|axis| surface.reach_px(axis)).any(|px| px > LARGE_PX);
@@ -332,7 +343,9 @@ impl<const N: usize, const M: usize> Kernel for Descent<'_, N, M> {
         let (centre, inverse) = settled?;
         let variance = fit.sigma() * fit.sigma();
         let mut covariance_px2 = [(M, M), (M, M + 1), (M + 1, M + 1)].map(|at| inverse[at] * variance);
-        covariance_px2.iter_mut().zip(fit.disagreement(&inverse)).for_each(|(v, apart)| *v += apart);
+        if is_dot {
+            covariance_px2.iter_mut().zip(fit.disagreement(&inverse)).for_each(|(v, apart)| *v += apart);
+        }
         let refined = Refined {
             centre,
             covariance_px2,
@@ -404,8 +417,14 @@ mod tests {
         (20..30).for_each(|y| grey.data[y * grey.width..][..50].fill(0.8));
         let refiner = Refiner::new(&model, linear, 0.8).expect("a turn");
         let start = PixelPoint { x: 45.0, y: 45.0 };
-        let descent =
-            Descent::<4, 2> { surface: &refiner.surface, unlike: 0.0, grey: &grey, start, hopeful: &|_, _| true };
+        let descent = Descent::<4, 2> {
+            surface: &refiner.surface,
+            unlike: 0.0,
+            is_dot: false,
+            grey: &grey,
+            start,
+            hopeful: &|_, _| true,
+        };
         let found = widest(descent).expect("settles");
         assert_eq!(Some(found), descent.run());
         // No scanner blurs this one: its edges, steeper than those of the model, count for little.

@@ -115,9 +115,10 @@ impl Document {
         timings.rematch_s = run.rematch_s;
     }
 
-    /// An existing georeference is reported, with how far the new one moves the image.
-    pub(super) fn prior(&mut self, info: &RasterInfo, list: &GcpList) {
-        let Some(old) = info.geotransform else { return };
+    /// An existing georeference is reported, with how far the new one moves the image; not one that an earlier run has
+    /// `written`.
+    pub(super) fn prior(&mut self, info: &RasterInfo, written: Option<GeoTransform>, list: &GcpList) {
+        let Some(old) = info.geotransform.filter(|old| written != Some(*old)) else { return };
         let size = (info.width, info.height);
         let here = list.crs.as_ref().filter(|crs| !crs.is_geographic()).and_then(|crs| {
             let of_image = Crs::parse(info.crs_wkt.as_deref()?).ok()?;

@@ -22,7 +22,7 @@ use autoref_raster::words::counted;
 
 /// An opened image with the detector and the plan for scanning it.
 pub struct Prepared {
-    /// With the georeference that the image had before any run of this program.
+    /// With the georeference that the image had before any run of this program, where that is known.
     pub source: Arc<dyn RasterSource>,
     /// What an earlier run has written over that.
     pub written: Option<GeoTransform>,
@@ -105,12 +105,17 @@ fn as_it_came(source: Arc<dyn RasterSource>, page: usize) -> (Arc<dyn RasterSour
     let info = source.info();
     let shown = Georeference { transform: info.geotransform, crs_wkt: info.crs_wkt.clone() };
     let beneath = beneath::beneath(info, page);
-    let written = shown.transform.filter(|_| beneath.is_some());
+    let is_other = |shown: &GeoTransform| {
+        let known = beneath.as_ref().map(|beneath| beneath.transform);
+        known.is_some_and(|known| known.is_none_or(|known| known.differs_px(shown) >= beneath::SAME_PX))
+    };
+    let written = shown.transform.filter(is_other);
     if let Some(beneath) = &beneath {
-        let what = if beneath.transform.is_some() { "the one beneath counts" } else { "what was beneath is not known" };
+        let what = if beneath.transform.is_some() { "the one beneath counts" } else { "none is known beneath" };
         tracing::info!("{}: its georeference is of an earlier run: {what}", info.path.display());
     }
-    let mut came = beneath.unwrap_or_else(|| shown.clone());
+    // Where nothing is known beneath, the earlier run says where the image lies: a wrong zone shows against it.
+    let mut came = beneath.filter(|beneath| beneath.transform.is_some()).unwrap_or_else(|| shown.clone());
     came.transform = came.transform.filter(|own| !own.counts_pixels());
     let source = if came == shown { source } else { raster::with_georeference(source, came) };
     (source, written)

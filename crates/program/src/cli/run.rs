@@ -206,7 +206,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     accuracy::state(&mut document.result, &list, &args.look.gcps.accuracy, (info.width as f64, info.height as f64));
     working_crs::deliver(&mut document.result, &list, place.size_px)?;
     document.result.warnings.extend(plan.notes.iter().cloned().map(Warning::Said));
-    document.prior(info, &list);
+    document.prior(info, written, &list);
     let report_started = Instant::now();
     let gathered = tracing::info_span!("report").in_scope(|| watch.gather(&mut document.result))?;
     document.result.timings.report_s = report_started.elapsed().as_secs_f64();
