@@ -6,7 +6,7 @@ use std::time::Instant;
 use super::constellation::{Assembly, assemble, assemble_stretched, chance};
 use super::interior::{MOST_STRETCH, Pose, SURE_STRETCH, Stretch, distance};
 use super::negative::Negative;
-use super::own_white::OwnWhite;
+use super::own_white::with_own_white;
 use super::resolution::Resolution;
 use super::scan::open_scan;
 use super::search::{GOOD_SCORE, Peak, search};
@@ -176,10 +176,10 @@ impl Finder {
             result = self.look_in_both_tones(source, options, result)?;
             // To find the largest value all pixels are read: of frames only that are not OK without it.
             if !result.is_ok()
-                && let Some(scan) = OwnWhite::of(source)?
+                && let Some(scan) = with_own_white(source)?
             {
                 result = self.look_in_both_tones(&scan, options, empty)?;
-                let white = scan.white();
+                let white = scan.info().white;
                 result.notes.push(format!("the scan's values end at {white} of 16 bits, which is taken for white"));
             }
         }

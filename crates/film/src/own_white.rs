@@ -1,8 +1,7 @@
 //! A scan whose values fill little of their 16 bits: 8 or 9 bits of a scanner, written without a word of it.
 
 use autoref_raster::error::Result;
-use autoref_raster::window::Window;
-use autoref_raster::{Block, RasterInfo, RasterSource, ReadStats, SampleType};
+use autoref_raster::{Described, RasterInfo, RasterSource, SampleType};
 
 use super::window::read_rows;
 
@@ -12,64 +11,30 @@ const LITTLE: u16 = 64;
 /// One pixel of so many may be brighter than white: defects of the sensor.
 const DEFECTS: u64 = 100_000;
 
-/// The same pixels with their largest value for white, but for single ones.
-pub(super) struct OwnWhite<'a> {
-    inner: &'a dyn RasterSource,
-    info: RasterInfo,
-}
-
-impl<'a> OwnWhite<'a> {
-    /// Looks at all pixels; `None` where they fill more of their bits.
-    ///
-    /// # Errors
-    /// Those of reading the scan.
-    pub fn of(source: &'a dyn RasterSource) -> Result<Option<Self>> {
-        let info = source.info();
-        if info.sample != SampleType::U16 {
-            return Ok(None);
-        }
-        let mut counts = vec![0u64; 1 << 16];
-        read_rows(source, &mut |row| {
-            row.iter().for_each(|&value| counts[usize::from(value)] += 1);
-            Ok(())
-        })?;
-        let most_above = info.width * info.height / DEFECTS;
-        let mut above = 0;
-        let is_reached = |&value: &usize| {
-            above += counts[value];
-            above > most_above
-        };
-        let largest = (0..counts.len()).rev().find(is_reached).unwrap_or(0) as u16;
-        let fills_little = largest > 0 && largest < info.white / LITTLE;
-        Ok(fills_little.then(|| OwnWhite { inner: source, info: RasterInfo { white: largest, ..info.clone() } }))
+/// The same pixels with their largest value for white, but for single ones. Looks at all pixels; `None` where they fill
+/// more of their bits.
+///
+/// # Errors
+/// Those of reading the scan.
+pub(super) fn with_own_white(source: &dyn RasterSource) -> Result<Option<Described<&dyn RasterSource>>> {
+    let info = source.info();
+    if info.sample != SampleType::U16 {
+        return Ok(None);
     }
-
-    /// Its largest value.
-    pub fn white(&self) -> u16 {
-        self.info.white
-    }
-}
-
-impl RasterSource for OwnWhite<'_> {
-    fn info(&self) -> &RasterInfo {
-        &self.info
-    }
-
-    fn read(&self, window: Window) -> Result<Block> {
-        self.inner.read(window)
-    }
-
-    fn prefetch(&self, window: Window) {
-        self.inner.prefetch(window);
-    }
-
-    fn release(&self, window: Window) {
-        self.inner.release(window);
-    }
-
-    fn stats(&self) -> ReadStats {
-        self.inner.stats()
-    }
+    let mut counts = vec![0u64; 1 << 16];
+    read_rows(source, &mut |row| {
+        row.iter().for_each(|&value| counts[usize::from(value)] += 1);
+        Ok(())
+    })?;
+    let most_above = info.width * info.height / DEFECTS;
+    let mut above = 0;
+    let is_reached = |&value: &usize| {
+        above += counts[value];
+        above > most_above
+    };
+    let white = (0..counts.len()).rev().find(is_reached).unwrap_or(0) as u16;
+    let fills_little = white > 0 && white < info.white / LITTLE;
+    Ok(fills_little.then(|| Described::new(source, RasterInfo { white, ..info.clone() })))
 }
 
 #[cfg(test)]
@@ -124,12 +89,12 @@ mod tests {
             let data = values.iter().map(|v| (v * white).round() as u16).collect();
             GreySource::new(Path::new("small.tif"), SIDE as u64, SIDE as u64, data)
         };
-        assert!(OwnWhite::of(&scan(4095.0)).expect("memory").is_none(), "12 bits show them as they are");
+        assert!(with_own_white(&scan(4095.0)).expect("memory").is_none(), "12 bits show them as they are");
         let hot = |value: f32| (value * 255.0).round() as u16;
         let mut data: Vec<u16> = values.iter().map(|v| hot(*v)).collect();
         (data[7], data[70_007]) = (u16::MAX, 5_000);
         let hot = GreySource::new(Path::new("hot.tif"), SIDE as u64, SIDE as u64, data);
-        assert!(OwnWhite::of(&hot).expect("memory").is_some_and(|scan| scan.white() < 256), "two hot pixels");
+        assert!(with_own_white(&hot).expect("memory").is_some_and(|scan| scan.info().white < 256), "two hot pixels");
         // In smaller boxes of so small a frame specks would agree by chance.
         let options = FindOptions { pixel_um: Some(40.0), box_share: 0.2, ..FindOptions::default() };
         let frame = Finder::new(&camera).expect("drawn").find(&scan(255.0), &options).expect("memory");

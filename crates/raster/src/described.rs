@@ -1,5 +1,6 @@
 //! A raster of which the caller knows something better than the file.
 
+use std::ops::Deref;
 use std::sync::Arc;
 
 use super::{Block, Piece, RasterInfo, RasterSource, ReadStats};
@@ -7,13 +8,20 @@ use crate::coords::GeoTransform;
 use crate::error::Result;
 use crate::window::Window;
 
-/// The pixels of another source, described otherwise.
-pub(super) struct Described {
-    pub inner: Arc<dyn RasterSource>,
-    pub info: RasterInfo,
+/// The pixels of another source, borrowed or shared, described otherwise.
+pub struct Described<S> {
+    inner: S,
+    info: RasterInfo,
 }
 
-impl RasterSource for Described {
+impl<S> Described<S> {
+    /// `info` in the place of what the source says of itself; its size and bands are the source's.
+    pub fn new(inner: S, info: RasterInfo) -> Self {
+        Described { inner, info }
+    }
+}
+
+impl<S: Deref<Target: RasterSource> + Send + Sync> RasterSource for Described<S> {
     fn info(&self) -> &RasterInfo {
         &self.info
     }
@@ -46,5 +54,5 @@ pub struct Georeference {
 pub fn with_georeference(source: Arc<dyn RasterSource>, georeference: Georeference) -> Arc<dyn RasterSource> {
     let mut info = source.info().clone();
     (info.geotransform, info.crs_wkt) = (georeference.transform, georeference.crs_wkt);
-    Arc::new(Described { inner: source, info })
+    Arc::new(Described::new(source, info))
 }

@@ -67,7 +67,7 @@ pub mod window;
 pub mod words;
 mod written;
 
-pub use described::{Georeference, with_georeference};
+pub use described::{Described, Georeference, with_georeference};
 pub use elevation::ElevationModel;
 pub use error::{Error, Result};
 pub use gdal::{GdalSource, hear_gdal, initialise_gdal, vector_options};

@@ -40,7 +40,7 @@ pub fn with_white(source: Arc<dyn RasterSource>, white: Option<u16>) -> Result<A
     }
     let mut info = source.info().clone();
     info.white = white;
-    Ok(Arc::new(Described { inner: source, info }))
+    Ok(Arc::new(Described::new(source, info)))
 }
 
 #[cfg(test)]
