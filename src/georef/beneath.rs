@@ -48,7 +48,7 @@ pub fn beneath(info: &RasterInfo, page: usize) -> Option<Georeference> {
         false => inside(image, page, None),
     };
     match inside.transform {
-        // A copy of an earlier result is an image that lies right.
+        // Where that is what the image shows, it is a copy of an earlier result, and lies right.
         Some(_) => Some(inside),
         None => match of_result(recorded.as_ref(), &shown) {
             Some(prior) => Some(prior.unwrap_or(inside)),
