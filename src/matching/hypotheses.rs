@@ -1,6 +1,5 @@
 //! The most surprising hypotheses about pairs of GCPs: all are tried, or as many as a budget allows.
 
-use std::borrow::Cow;
 use std::cell::OnceCell;
 
 use rayon::prelude::*;
@@ -8,7 +7,10 @@ use rayon::prelude::*;
 use crate::matching::bar::Bar;
 use crate::matching::looks::Looking;
 use crate::matching::pairs::GcpPair;
-use crate::matching::search::{Demand, Hypothesis, LOOKS_OF_ONE, REFINED_PER_PAIR, Search, Target, Tried, keep_best};
+use crate::matching::search::{
+    Demand, Hypothesis, LOOKS_OF_ONE, MOST_DEMANDED, REFINED_PER_PAIR, Search, Tried, keep_best,
+};
+use crate::matching::targets::Targets;
 use autoref_raster::coords::PixelPoint;
 
 /// From so many hypotheses on, the points of a pair are shared out: waking a thread takes as long as some hundreds of
@@ -50,7 +52,7 @@ impl Search<'_> {
         (first_looks, bar): (usize, Bar<'_>),
         budget: u64,
     ) -> (Vec<Hypothesis>, Tried) {
-        let targets = self.targets(pair, tolerance_px);
+        let targets = self.targets(pair, tolerance_px, first_looks.max(MOST_DEMANDED));
         let fewest = self.fewest_hits(&targets, tolerance_px);
         if targets.len() < fewest {
             return (Vec::new(), Tried::default());
@@ -97,7 +99,7 @@ impl Search<'_> {
         points: &[usize],
         (first_looks, above): (usize, &Bar<'_>),
     ) -> (Vec<Hypothesis>, Tried) {
-        let targets = self.targets(pair, self.tolerance_px);
+        let targets = self.targets(pair, self.tolerance_px, first_looks.max(MOST_DEMANDED));
         let demand = Demand { fewest: self.fewest_hits(&targets, self.tolerance_px), first_looks };
         if targets.len() < demand.fewest {
             return (Vec::new(), Tried::default());
@@ -117,7 +119,7 @@ impl Search<'_> {
     fn try_point(
         &self,
         pair: &GcpPair,
-        targets: &[Target],
+        targets: &Targets<'_>,
         (demand, bar): (Demand, &Bar<'_>),
         i: usize,
     ) -> (Vec<Hypothesis>, Tried) {
@@ -133,27 +135,25 @@ impl Search<'_> {
             if i == j || !self.allows(j, pair.b) || !self.may_span(pair, from, to) {
                 return;
             }
-            let targets = in_reach.get_or_init(|| self.in_reach(pair, targets, from));
+            let fewer = in_reach.get_or_init(|| self.in_reach(pair, targets, from));
+            let targets = fewer.as_ref().unwrap_or(targets);
             if targets.len() < demand.fewest {
                 return;
             }
             looking.get_or_insert_with(|| Looking::new(self, pair, (demand, bar))).take(targets, (i, j));
         });
-        looking.zip(in_reach.get()).map_or_else(Default::default, |(looking, targets)| looking.best(targets))
+        let Some(looking) = looking else { return Default::default() };
+        looking.best(in_reach.get().and_then(Option::as_ref).unwrap_or(targets))
     }
 
     /// The targets that can be in the field at all when `a` is at `from`, whatever the rotation: at the finest scale
-    /// they must not lie beyond the farthest corner.
-    fn in_reach<'t>(&self, pair: &GcpPair, targets: &'t [Target], from: PixelPoint) -> Cow<'t, [Target]> {
+    /// they must not lie beyond the farthest corner. `None` where all can.
+    fn in_reach<'t>(&self, pair: &GcpPair, targets: &Targets<'t>, from: PixelPoint) -> Option<Targets<'t>> {
         let origin = self.field.origin();
         let (right, bottom) = (origin.x + self.field.width_px, origin.y + self.field.height_px);
         let farthest = (from.x - origin.x).max(right - from.x).hypot((from.y - origin.y).max(bottom - from.y));
         // A hair more, so that rounding decides nothing.
         let farthest_m = farthest * pair.length_m / pair.reach_px.0 * (1.0 + 1e-9);
-        let reached = |t: &Target| t.east * t.east + t.north * t.north <= farthest_m * farthest_m;
-        if targets.iter().all(reached) {
-            return Cow::Borrowed(targets);
-        }
-        targets.iter().filter(|t| reached(t)).copied().collect::<Vec<_>>().into()
+        targets.only(|t| t.east * t.east + t.north * t.north <= farthest_m * farthest_m)
     }
 }

@@ -11,8 +11,9 @@ use crate::matching::bar::Bar;
 use crate::matching::bitmap::Bitmap;
 use crate::matching::pairs::GcpPair;
 use crate::matching::search::{
-    Demand, Hypothesis, Laid, MayHit, REFINED_PER_PAIR, Search, Span, Target, Tried, cost_of_choice, keep_best,
+    Demand, Hypothesis, Laid, MayHit, REFINED_PER_PAIR, Search, Span, Tried, cost_of_choice, keep_best,
 };
+use crate::matching::targets::{Target, Targets};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::simd::{Kernel, widest};
 
@@ -41,7 +42,7 @@ impl<'s> Looking<'s> {
 
     /// The hypothesis with these points at the ends; the targets are the same for all.
     #[inline]
-    pub fn take(&mut self, targets: &[Target], ends: (usize, usize)) {
+    pub fn take(&mut self, targets: &Targets<'_>, ends: (usize, usize)) {
         self.hypotheses += 1;
         if self.later.demand.first_looks >= targets.len() {
             self.later.take(targets, ends);
@@ -51,9 +52,9 @@ impl<'s> Looking<'s> {
     }
 
     #[inline(never)]
-    fn first_looks(&mut self, targets: &[Target]) {
+    fn first_looks(&mut self, targets: &Targets<'_>) {
         let Looking { fresh, seen, later, .. } = self;
-        let first = &targets[..later.demand.first_looks];
+        let first = targets.first(later.demand.first_looks);
         let view = later.view;
         fresh.drain(|ends, used| {
             seen.look(&view, first, ends);
@@ -70,7 +71,7 @@ impl<'s> Looking<'s> {
 
     /// The most surprising of all that were taken, best first, and what that took. The looks are counted so that they
     /// do not depend on what was passed over.
-    pub fn best(mut self, targets: &[Target]) -> (Vec<Hypothesis>, Tried) {
+    pub fn best(mut self, targets: &Targets<'_>) -> (Vec<Hypothesis>, Tried) {
         if self.fresh.len > 0 {
             self.first_looks(targets);
         }
@@ -96,14 +97,18 @@ struct Later<'s> {
 
 impl Later<'_> {
     #[inline]
-    fn take(&mut self, targets: &[Target], ends: (usize, usize)) {
+    fn take(&mut self, targets: &Targets<'_>, ends: (usize, usize)) {
         if self.noticed.push(ends) == BATCH {
             self.all_looks(targets);
         }
     }
 
     #[inline(never)]
-    fn all_looks(&mut self, targets: &[Target]) {
+    fn all_looks(&mut self, targets: &Targets<'_>) {
+        if self.noticed.len == 0 {
+            return;
+        }
+        let targets = targets.all();
         let Later { view, demand, bar, noticed, seen, may_hit, best, looks } = self;
         noticed.drain(|ends, used| {
             seen.look(view, targets, ends);
@@ -388,15 +393,16 @@ mod tests {
         let (search, pairs, _) = Search::new(&all, &gcps, &priors, 0.0).expect("hypotheses are possible");
         let (mut hits, mut more) = (0, 0);
         for pair in &pairs[..20] {
-            let targets = search.targets(pair, search.tolerance_px);
+            let targets = search.targets(pair, search.tolerance_px, usize::MAX);
+            let targets = targets.all();
             let view = View { search: &search, span: search.span(pair) };
             for first in (20..260).step_by(4 * LANES) {
                 let second = std::array::from_fn(|lane| first + 4 * lane as u32);
                 let ends = Ends { first: std::array::from_fn(|lane| (pair.a + lane / 5) as u32), second };
                 let (mut one, mut other, mut from) = (vec![[0; LANES]; 1], vec![[0; LANES]; 1], Vec::new());
                 view.cells_of(&ends, &mut from);
-                Looks { view: &view, targets: &targets, ends: &ends, from: &from, words: &mut one }.run();
-                widest(Looks { view: &view, targets: &targets, ends: &ends, from: &from, words: &mut other });
+                Looks { view: &view, targets, ends: &ends, from: &from, words: &mut one }.run();
+                widest(Looks { view: &view, targets, ends: &ends, from: &from, words: &mut other });
                 assert_eq!(one, other);
                 let seen = Seen { words: one, from };
                 for lane in 0..LANES {
@@ -426,16 +432,17 @@ mod tests {
         let mut passed = 0;
         for (pair, first_looks) in pairs[..12].iter().zip([2, 4, usize::MAX].into_iter().cycle()) {
             let (best, tried) = search.try_pair(pair, first_looks, u64::MAX);
-            let targets = search.targets(pair, search.tolerance_px);
+            let targets = search.targets(pair, search.tolerance_px, usize::MAX);
             let demand = Demand { fewest: search.fewest_hits(&targets, search.tolerance_px), first_looks };
-            let may_hit: Vec<MayHit> = (0..targets.len()).map(|k| search.may_hit(&targets, k)).collect();
+            let targets = targets.all();
+            let may_hit: Vec<MayHit> = (0..targets.len()).map(|k| search.may_hit(targets, k)).collect();
             let mut expected = Vec::new();
             for i in 0..candidates.len() {
                 let view = View { search: &search, span: search.span(pair) };
                 search.ends_of(pair, i, |j, _| {
                     let laid = view.hypothesis((i, j));
-                    let inside = search.inside(laid, &targets);
-                    let score = search.verify(laid, &targets, (&may_hit, inside), demand);
+                    let inside = search.inside(laid, targets);
+                    let score = search.verify(laid, targets, (&may_hit, inside), demand);
                     expected.extend(score.map(|score| Hypothesis { score, i: i as u32, j: j as u32 }));
                 });
             }

@@ -54,6 +54,7 @@ mod screening;
 mod search;
 mod settle;
 mod sharpen;
+mod targets;
 mod time_limit;
 pub mod tpp;
 mod waiting;

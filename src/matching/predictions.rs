@@ -150,6 +150,7 @@ impl Told {
 
 /// How far the prediction from the pair (a, b) may be off at `p`, relative to the error of one mark: √(1 + |1−w|² +
 /// |w|²) with w the complex position of `p` along the pair.
+#[inline(always)]
 pub(super) fn spread_from_pair(a: MapPoint, b: MapPoint, p: MapPoint) -> f64 {
     let (ux, uy) = (b.easting - a.easting, b.northing - a.northing);
     let (vx, vy) = (p.easting - a.easting, p.northing - a.northing);

@@ -50,6 +50,9 @@ const LONG_OF_SCALE_PERCENT: u64 = 50;
 /// few marks tell with no work that could be waited for.
 const VERY_LONG: u64 = 500;
 const GROWTH_SHARE: u64 = 3;
+/// Without a scale so many times as much is tried as the best take to be refined: a pattern that could be believed is no
+/// accident of the whole search, and stands among the six best of many more hypotheses.
+const TRIED_PER_REFINED: u64 = 4;
 /// How often a rival may take the first place before the last is left there; two so close are refused anyhow.
 const MOST_CHALLENGES: usize = 3;
 
@@ -229,8 +232,9 @@ struct Work {
     tried: Tried,
     /// Looks at other GCPs that a hypothesis takes, before any is tried.
     looks: u64,
-    /// What trying took since the last were refined.
+    /// What trying took since the last were refined, and how many times what refining takes it is to be.
     since_refined: u64,
+    tried_per_refined: u64,
     /// Patterns refined, and what they took.
     refined: (u64, u64),
 }
@@ -264,15 +268,15 @@ impl Work {
         self.since_refined += cost;
     }
 
-    /// What refining the best will take.
-    fn refining(&self) -> u64 {
+    /// How much is tried before the best are refined.
+    fn before_refining(&self) -> u64 {
         let (patterns, cost) = self.refined;
-        REFINED_PER_PAIR as u64 * cost.checked_div(patterns).unwrap_or(10 * self.gcps)
+        self.tried_per_refined * REFINED_PER_PAIR as u64 * cost.checked_div(patterns).unwrap_or(10 * self.gcps)
     }
 
-    /// Whether trying took as long as refining the best will.
+    /// Whether so much was tried since the last were refined.
     fn is_worth_refining(&self) -> bool {
-        self.since_refined >= self.refining()
+        self.since_refined >= self.before_refining()
     }
 
     /// How many of the next pairs, one at least, are about enough for it and no more than may be done.
@@ -280,7 +284,7 @@ impl Work {
         let (mut cost, mut hypotheses) = (self.since_refined, 0);
         let each = self.each();
         let few = pairs.iter().take_while(|pair| {
-            let is_wanted = cost < self.refining();
+            let is_wanted = cost < self.before_refining();
             cost += pair.hypotheses() * each + self.gcps;
             hypotheses += pair.hypotheses();
             is_wanted && hypotheses <= hypotheses_left
@@ -448,8 +452,8 @@ impl RobustMatcher {
         let gcps = gcps.len() as u64;
         let looks = gcps.min(screening.first_looks as u64);
         let done_before = found.effort.hypotheses_tried;
-        let mut work =
-            Work { done: done_before, allowed: budget, gcps, tried: Tried::default(), looks, ..Work::default() };
+        let tried_per_refined = if priors.narrow_by_scale() { 1 } else { TRIED_PER_REFINED };
+        let mut work = Work { done: done_before, allowed: budget, gcps, looks, tried_per_refined, ..Work::default() };
         let mut waiting = Waiting::new();
         // One decade below the limit chance has no say any more; repetition is asked about below. A pattern that leaves
         // out most of what is expected in the image does not end the search: a better one may be made of its points.

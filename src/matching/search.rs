@@ -4,14 +4,14 @@ use std::sync::OnceLock;
 
 use crate::candidate::Candidate;
 use crate::matching::Priors;
-use crate::matching::bitmap::{Bitmap, WORTHLESS_PROBABILITY};
+use crate::matching::bitmap::Bitmap;
 use crate::matching::distances::Distances;
 use crate::matching::evidence::{CLOSEST_PX, log10_of_levels, log10_tail};
 use crate::matching::field::Field;
 use crate::matching::labels::Names;
 use crate::matching::pairs::{GcpPair, gcp_pairs};
-use crate::matching::predictions::spread_from_pair;
 use crate::matching::screening::Screening;
+use crate::matching::targets::{Target, Targets};
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_solve::Similarity;
 
@@ -35,6 +35,8 @@ const PAIRS_BY_BUDGET: usize = 4;
 /// So many points in the box about a pair's first end for each that may be at the other make it worth the sorting of
 /// all distances.
 const MOSTLY_OTHERS: f64 = 4.0;
+/// No hypothesis must hit more than this to be scored.
+pub(super) const MOST_DEMANDED: usize = 4;
 /// More hits than this leave no doubt.
 const MOST_HITS: usize = 32;
 
@@ -61,16 +63,6 @@ impl Span {
         let (x, y) = (to.x - from.x, -(to.y - from.y));
         ((x * self.east + y * self.north) / self.square, (y * self.east - x * self.north) / self.square)
     }
-}
-
-/// Another GCP as seen from a pair: its offset from `a`, and tolerance.
-#[derive(Clone, Copy)]
-pub(super) struct Target {
-    gcp: usize,
-    pub east: f64,
-    pub north: f64,
-    radius_px: f64,
-    pub bitmap: usize,
 }
 
 /// A target that a candidate may be near.
@@ -225,8 +217,8 @@ impl<'a> Search<'a> {
         let (mut telling, rest): (Vec<_>, Vec<_>) = pairs.into_iter().partition(|pair| {
             // Less what choosing the hits costs, and a fifth for marks that are covered.
             let surprise = |t: &Target| surprise(self.field.density(), t.radius_px);
-            let targets = self.targets(pair, self.tolerance_px);
-            let worth: f64 = targets.iter().map(|t| (surprise(t) - 1.0).max(0.0)).sum::<f64>() * 0.8;
+            let targets = self.targets(pair, self.tolerance_px, usize::MAX);
+            let worth: f64 = targets.all().iter().map(|t| (surprise(t) - 1.0).max(0.0)).sum::<f64>() * 0.8;
             worth > pair.cost.max(1.0).ln()
         });
         telling.extend(rest);
@@ -271,52 +263,19 @@ impl<'a> Search<'a> {
         points * width * height * self.field.density() > MOSTLY_OTHERS * (points + pair.cost)
     }
 
-    /// Other GCPs as a hypothesis about `pair` predicts them, most certain first.
-    pub(super) fn targets(&self, pair: &GcpPair, tolerance_px: f64) -> Vec<Target> {
-        let (a, b) = (self.gcps[pair.a], self.gcps[pair.b]);
-        // Farther from the pair than the image is long it cannot be in the image.
-        let reach_m = self.field.width_px.hypot(self.field.height_px) * pair.length_m / pair.reach_px.0;
-        // 1 − exp(−density · area) is the probability of a chance hit.
-        let worthless_px2 = -(-WORTHLESS_PROBABILITY).ln_1p() / (std::f64::consts::PI * self.field.density());
-        let mut targets: Vec<Target> = (0..self.gcps.len())
-            .filter(|&k| k != pair.a && k != pair.b)
-            .filter_map(|k| {
-                let gcp = self.gcps[k];
-                let (east, north) = (gcp.easting - a.easting, gcp.northing - a.northing);
-                if east * east + north * north >= reach_m * reach_m {
-                    return None;
-                }
-                let radius_px = tolerance_px * spread_from_pair(a, b, gcp);
-                if radius_px * radius_px >= worthless_px2 {
-                    return None;
-                }
-                let bitmap = self.bitmaps.iter().position(|m| m.radius_px >= radius_px)?;
-                Some(Target { gcp: k, east, north, radius_px, bitmap })
-            })
-            .collect();
-        // A long list is laid out for few hypotheses: numbers are sorted sooner than targets. Bits of positive numbers
-        // are in the order of the numbers.
-        let order = |(at, target): (usize, &Target)| u64::from((target.radius_px as f32).to_bits()) << 32 | at as u64;
-        let mut order: Vec<u64> = targets.iter().enumerate().map(order).collect();
-        order.sort_unstable();
-        targets = order.iter().map(|of| targets[(of & 0xFFFF_FFFF) as usize]).collect();
-        targets
-    }
-
     /// Fewer further hits than this could never be believed, however close they are.
-    pub(super) fn fewest_hits(&self, targets: &[Target], tolerance_px: f64) -> usize {
-        const MOST: usize = 4;
+    pub(super) fn fewest_hits(&self, targets: &Targets<'_>, tolerance_px: f64) -> usize {
         let density = self.field.density();
         let closest = |t: &Target| {
             let radius = t.radius_px / tolerance_px * CLOSEST_PX;
             -(-density * std::f64::consts::PI * radius * radius).exp_m1()
         };
-        let probabilities: Vec<f64> = targets.iter().take(MOST).map(closest).collect();
+        let probabilities: Vec<f64> = targets.first(MOST_DEMANDED).iter().map(closest).collect();
         // A hypothesis sees only the GCPs in the image; the tail over the surest few is the most favourable case.
         (1..=probabilities.len())
             .find(|&hits| self.log10_tests + log10_tail(&probabilities[..hits], hits) <= -1.0)
             .unwrap_or(probabilities.len() + 1)
-            .min(MOST)
+            .min(MOST_DEMANDED)
     }
 
     /// Whether the priors allow points at these places to be a pair.
