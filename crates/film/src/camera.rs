@@ -1,9 +1,9 @@
 //! Cameras as TOML files: those that come with the program, and the user's own.
 
+mod distances;
+
 use std::collections::HashSet;
 use std::path::Path;
-
-use nalgebra::{DMatrix, DVector};
 
 use super::types::{Camera, CameraMark, MarkKind, YAxis};
 use autoref_raster::bounded;
@@ -77,9 +77,8 @@ pub fn parse(text: &str, path: &Path) -> Result<Camera> {
         Error::format(path, format!("line {line}"), what + remedy)
     })?;
     check(&camera, path)?;
-    if camera.marks.iter().any(|m| m.x_mm.is_none()) {
-        from_distances(&mut camera, path)?;
-    }
+    distances::settle(&mut camera, path)?;
+    check_places(&camera, path)?;
     Ok(camera)
 }
 
@@ -103,19 +102,6 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
             return wrong(place.into(), "every box is four numbers in millimetres: x, y, x, y of two opposite corners");
         }
     }
-    for (axis, place) in [|m: &CameraMark| m.x_mm, |m: &CameraMark| m.y_mm].iter().enumerate() {
-        let places = || camera.marks.iter().filter_map(place);
-        let apart = places().fold(f64::MIN, f64::max) - places().fold(f64::MAX, f64::min);
-        // Film of which a part was cut off may be stated as what is left.
-        if apart > 1.2 * camera.film_size_mm[axis] {
-            let what = format!(
-                "lie {apart:.1} mm apart in {}, on a film of {} mm",
-                ["x", "y"][axis],
-                camera.film_size_mm[axis]
-            );
-            return wrong("marks".into(), &what);
-        }
-    }
     let mut names = HashSet::new();
     for mark in &camera.marks {
         let place = || format!("mark \"{}\"", mark.name);
@@ -128,7 +114,8 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
         if mark.x_mm.is_none() && mark.near_mm.is_none() {
             return wrong(place(), "has no position; give x_mm and y_mm, or near_mm and distances_mm");
         }
-        if ![mark.x_mm, mark.y_mm].iter().flatten().all(|v| v.is_finite() && v.abs() < 2000.0) {
+        let near = mark.near_mm.unwrap_or_default();
+        if ![mark.x_mm, mark.y_mm].iter().flatten().chain(&near).all(|v| v.is_finite() && v.abs() < 2000.0) {
             return wrong(place(), "its position is not on any film");
         }
         if !super::shape::is_sound(&mark.kind) {
@@ -138,13 +125,6 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
             );
         }
     }
-    let spread = |f: fn(&CameraMark) -> Option<f64>| {
-        let v: Vec<f64> = camera.marks.iter().filter_map(f).collect();
-        v.iter().copied().fold(f64::MIN, f64::max) - v.iter().copied().fold(f64::MAX, f64::min)
-    };
-    if camera.marks.iter().all(|m| m.x_mm.is_some()) && spread(|m| m.x_mm).hypot(spread(|m| m.y_mm)) < 1.0 {
-        return wrong("marks".into(), "all marks lie within a millimetre");
-    }
     for ([a, b], d) in &camera.distances_mm {
         if !(names.contains(a) && names.contains(b)) || a == b || !positive(*d) {
             return wrong(format!("distance {a} to {b}"), "must name two marks of the camera and be above 0");
@@ -153,53 +133,24 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Coordinates from distances: Gauss–Newton from the rough positions. What distances do not determine (place and turn)
-/// stays as the rough positions have it, since steps are of least norm.
-fn from_distances(camera: &mut Camera, path: &Path) -> Result<()> {
-    let index = |name: &str| camera.marks.iter().position(|m| m.name == name).expect("checked before");
-    let n = camera.marks.len();
-    let mut at: Vec<[f64; 2]> = camera
-        .marks
-        .iter()
-        .map(|m| m.near_mm.or(m.x_mm.zip(m.y_mm).map(|(x, y)| [x, y])).expect("checked before"))
-        .collect();
-    if camera.distances_mm.len() + 3 < 2 * n {
-        return Err(Error::format(
-            path,
-            "distances_mm",
-            format!("{} distances do not fix {n} marks; {} are needed", camera.distances_mm.len(), 2 * n - 3),
-        ));
-    }
-    let pairs: Vec<(usize, usize, f64)> =
-        camera.distances_mm.iter().map(|([a, b], d)| (index(a), index(b), *d)).collect();
-    for _ in 0..50 {
-        let mut design = DMatrix::zeros(pairs.len(), 2 * n);
-        let mut right = DVector::zeros(pairs.len());
-        for (row, &(a, b, d)) in pairs.iter().enumerate() {
-            let (dx, dy) = (at[a][0] - at[b][0], at[a][1] - at[b][1]);
-            let now = dx.hypot(dy).max(1e-9);
-            for (k, v) in [dx / now, dy / now].into_iter().enumerate() {
-                design[(row, 2 * a + k)] = v;
-                design[(row, 2 * b + k)] = -v;
-            }
-            right[row] = d - now;
-        }
-        let Ok(step) = design.svd(true, true).solve(&right, 1e-9) else { break };
-        for (i, p) in at.iter_mut().enumerate() {
-            p[0] += step[2 * i];
-            p[1] += step[2 * i + 1];
-        }
-        if step.norm() < 1e-10 {
-            break;
+/// Marks that are known by now: not beyond the film.
+fn check_places(camera: &Camera, path: &Path) -> Result<()> {
+    let wrong = |what: String| Err(Error::format(path, "marks", what));
+    let (low, high) = camera.film_box();
+    let apart = [0, 1].map(|k| high[k] - low[k]);
+    for axis in [0, 1] {
+        // Film of which a part was cut off may be stated as what is left.
+        if apart[axis] > 1.2 * camera.film_size_mm[axis] {
+            return wrong(format!(
+                "lie {:.1} mm apart in {}, on a film of {} mm",
+                apart[axis],
+                ["x", "y"][axis],
+                camera.film_size_mm[axis]
+            ));
         }
     }
-    let worst =
-        pairs.iter().map(|&(a, b, d)| ((at[a][0] - at[b][0]).hypot(at[a][1] - at[b][1]) - d).abs()).fold(0.0, f64::max);
-    if !worst.is_finite() || worst > 0.5 {
-        return Err(Error::format(path, "distances_mm", format!("contradict each other by {worst:.2} mm")));
-    }
-    for (mark, p) in camera.marks.iter_mut().zip(at) {
-        (mark.x_mm, mark.y_mm) = (Some(p[0]), Some(p[1]));
+    if apart[0].hypot(apart[1]) < 1.0 {
+        return wrong("all marks lie within a millimetre".into());
     }
     Ok(())
 }
@@ -264,25 +215,6 @@ mod tests {
     fn the_cameras_of_the_program_are_sound_and_named_as_listed() {
         let cameras = builtin_cameras();
         assert!(cameras.iter().map(|c| c.name.as_str()).eq(BUILTIN.iter().map(|b| b.0)));
-    }
-
-    #[test]
-    fn marks_known_by_distances_only_get_coordinates() {
-        let text = r#"
-name = "d"
-film_size_mm = [100.0, 100.0]
-y_axis = "down"
-distances_mm = [[["a","b"],80.0],[["b","c"],80.0],[["c","d"],80.0],[["d","a"],80.0],[["a","c"],113.13708498984761]]
-marks = [
-  { name = "a", near_mm = [10.0, 11.0], kind = { shape = "dot", diameter_mm = 0.2 } },
-  { name = "b", near_mm = [91.0, 10.0], kind = { shape = "dot", diameter_mm = 0.2 } },
-  { name = "c", near_mm = [90.0, 92.0], kind = { shape = "dot", diameter_mm = 0.2 } },
-  { name = "d", near_mm = [10.0, 90.0], kind = { shape = "dot", diameter_mm = 0.2 } },
-]"#;
-        let p = parse(text, Path::new("d.toml")).expect("sound").film_points();
-        assert!(((p[1][0] - p[3][0]).hypot(p[1][1] - p[3][1]) - 113.137_084_989).abs() < 1e-6);
-        let few = text.replace(r#",[["a","c"],113.13708498984761]"#, "");
-        assert!(parse(&few, Path::new("d.toml")).is_err(), "four sides do not fix a quadrangle");
     }
 
     #[test]
