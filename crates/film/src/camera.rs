@@ -19,6 +19,11 @@ const BUILTIN: [(&str, &str); 7] = [
     ("arc-cross", include_str!("cameras/arc-cross.toml")),
 ];
 
+/// Marks lie no nearer to each other, whatever their shape, millimetres.
+const LEAST_APART_MM: f64 = 0.5;
+/// Marks within less of the film's side are suspected of another unit.
+const CLOSE_SHARE: f64 = 0.2;
+
 /// The cameras that come with the program, in the order of `--list-cameras`.
 ///
 /// # Panics
@@ -133,9 +138,10 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Marks that are known by now: not beyond the film.
+/// Marks that are known by now: not beyond the film, and none on another.
 fn check_places(camera: &Camera, path: &Path) -> Result<()> {
     let wrong = |what: String| Err(Error::format(path, "marks", what));
+    let points = camera.film_points();
     let (low, high) = camera.film_box();
     let apart = [0, 1].map(|k| high[k] - low[k]);
     for axis in [0, 1] {
@@ -151,6 +157,28 @@ fn check_places(camera: &Camera, path: &Path) -> Result<()> {
     }
     if apart[0].hypot(apart[1]) < 1.0 {
         return wrong("all marks lie within a millimetre".into());
+    }
+    let longest = camera.film_size_mm[0].max(camera.film_size_mm[1]);
+    let is_close = apart[0].max(apart[1]) < CLOSE_SHARE * longest;
+    for (k, a) in camera.marks.iter().enumerate() {
+        for (j, b) in camera.marks.iter().enumerate().skip(k + 1) {
+            let mm = (points[k][0] - points[j][0]).hypot(points[k][1] - points[j][1]);
+            let size_mm = [a, b].map(|m| super::shape::reach_mm(&m.kind).0);
+            if mm < size_mm[0].max(size_mm[1]).max(LEAST_APART_MM) {
+                let remedy = if is_close { "are positions in millimetres?" } else { "correct a sign or a digit" };
+                return wrong(format!(
+                    "\"{}\" and \"{}\" lie {mm:.2} mm apart, nearer than marks are large: {remedy}",
+                    a.name, b.name
+                ));
+            }
+        }
+    }
+    if is_close {
+        tracing::warn!(
+            "{}: marks: they lie {:.1} mm apart at most, on a film of {longest} mm: are their positions in millimetres?",
+            path.display(),
+            apart[0].max(apart[1])
+        );
     }
     Ok(())
 }
@@ -215,6 +243,21 @@ mod tests {
     fn the_cameras_of_the_program_are_sound_and_named_as_listed() {
         let cameras = builtin_cameras();
         assert!(cameras.iter().map(|c| c.name.as_str()).eq(BUILTIN.iter().map(|b| b.0)));
+    }
+
+    #[test]
+    fn marks_at_one_place_are_refused_by_name() {
+        let text = include_str!("cameras/rmk-cross.toml");
+        let camera: Camera = toml::from_str(text).expect("built in");
+        let (a, b) = (&camera.marks[0], &camera.marks[1]);
+        let of = |m: &CameraMark| m.x_mm.zip(m.y_mm).expect("calibrated");
+        for beside_mm in [0.0, 0.03, 0.4] {
+            let mut wrong = camera.clone();
+            (wrong.marks[1].x_mm, wrong.marks[1].y_mm) = (Some(of(a).0 + beside_mm), Some(of(a).1));
+            let text = toml::to_string(&wrong).expect("plain data");
+            let said = parse(&text, Path::new("x.toml")).expect_err("refused").to_string();
+            assert!(said.starts_with("x.toml: marks: ") && said.contains(&a.name) && said.contains(&b.name), "{said}");
+        }
     }
 
     #[test]
