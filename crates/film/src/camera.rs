@@ -96,6 +96,9 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
     if camera.image_size_mm.is_some_and(|s| !s.iter().all(|v| positive(*v) && *v < 2000.0)) {
         return wrong("image_size_mm".into(), "must be two lengths in millimetres, above 0 and below 2000");
     }
+    if camera.centre_mm.is_some_and(|c| !c.iter().all(|v| v.is_finite() && v.abs() < 2000.0)) {
+        return wrong("centre_mm".into(), "must be two millimetres, x and y of the film's middle");
+    }
     if camera.focal_length_mm.is_some_and(|f| !positive(f)) {
         return wrong("focal_length_mm".into(), "must be above 0");
     }
@@ -211,8 +214,11 @@ impl Camera {
         (end(f64::MAX, f64::min), end(f64::MIN, f64::max))
     }
 
-    /// The middle of the marks' bounding box, millimetres, y down.
+    /// The middle of the film, by default of the marks' bounding box, millimetres, y down.
     pub fn film_centre(&self) -> [f64; 2] {
+        if let Some([x, y]) = self.centre_mm {
+            return [x, self.y_sign() * y];
+        }
         let (low, high) = self.film_box();
         [0, 1].map(|k| 0.5 * (low[k] + high[k]))
     }
