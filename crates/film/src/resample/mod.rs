@@ -18,6 +18,7 @@ use super::window::{Grey, read_grey};
 use autoref_raster::atomic::{self, Existing};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::fingerprint::size_and_time;
 use autoref_raster::window::Window;
 use autoref_raster::{RasterSource, SampleType};
 use banding::{Banding, Bands};
@@ -52,11 +53,19 @@ pub enum Light<'a> {
     OfRoll(&'a Lighting),
 }
 
-/// What a frame's file says of itself, in its TIFF description, so that a roll that was stopped goes on where it was.
-pub fn description(camera: &Camera, interior: &InteriorOrientation, options: &ResampleOptions, light: &str) -> String {
+/// What a frame's file says of itself, in its TIFF description, so that a roll that was stopped goes on where it was and
+/// no picture of an earlier scan is kept.
+pub fn description(
+    scan: &Path,
+    camera: &Camera,
+    interior: &InteriorOrientation,
+    options: &ResampleOptions,
+    light: &str,
+) -> String {
     let boxes = [&camera.masked_mm[..], &options.boxes_mm[..]].concat();
     serde_json::json!({
-        "program": concat!("autoref-stream ", env!("CARGO_PKG_VERSION")), "camera": camera.name,
+        "program": concat!("autoref-stream ", env!("CARGO_PKG_VERSION")), "scan": size_and_time(scan), "camera": camera.name,
+        "marks_mm": camera.film_points(),
         "pixel_mm": options.pixel_mm, "kernel": options.kernel.name(), "mask_radius_mm": options.mask_radius_mm,
         "boxes_mm": boxes,
         "banding": options.banding.name(), "lighting": light,
@@ -74,15 +83,25 @@ pub fn is_done(image: &Path, mask: &Path, description: &str, existing: Existing)
         return Ok(false);
     }
     let said = |path: &Path| Dataset::open(path).ok()?.metadata_item("TIFFTAG_IMAGEDESCRIPTION", "");
-    if said(image).as_deref() == Some(description) && said(mask).as_deref() == Some(description) {
+    let before = [said(image), said(mask)];
+    if before.iter().all(|said| said.as_deref() == Some(description)) {
         // A file that was cut short is made again.
         return Ok(ends(image) && ends(mask));
     }
     let there = if image.exists() { image } else { mask };
+    let differs = before.iter().flatten().map(|said| differing(said, description)).find(|keys| !keys.is_empty());
+    let differs = differs.map_or(String::new(), |keys| format!(" ({})", keys.join(", ")));
     Err(Error::usage(
-        format!("the output {} exists and was made otherwise", there.display()),
+        format!("the output {} exists and was made otherwise{differs}", there.display()),
         "give --overwrite to replace it, or another folder",
     ))
+}
+
+/// What two descriptions say otherwise.
+fn differing(before: &str, now: &str) -> Vec<String> {
+    let read = |text: &str| serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(text).ok();
+    let Some((before, now)) = read(before).zip(read(now)) else { return vec![] };
+    now.iter().filter(|(key, value)| before.get(*key) != Some(*value)).map(|(key, _)| key.clone()).collect()
 }
 
 /// Whether the last row of a raster can be read.
@@ -313,7 +332,9 @@ impl<'a> Grid<'a> {
                 for (i, (p, v)) in pixels.iter_mut().zip(&mut valid).enumerate() {
                     let film = self.film(x + i % w, y + i / w);
                     let Some(at) = self.scan(film) else { continue };
-                    let Some(value) = self.sampler.at(&grey, grey.from_scan(at), &mut scratch) else { continue };
+                    let Some(value) = self.sampler.at(&grey, grey.from_scan(at), &mut scratch) else {
+                        continue;
+                    };
                     let even = self.lighting.as_ref().map_or(value, |l| l.corrected(value, self.unit(film)));
                     *p = store(even.clamp(0.0, 1.0) * white);
                     *v = if self.masked(film) { 0 } else { 255 };
