@@ -168,7 +168,7 @@ fn check_places(camera: &Camera, path: &Path) -> Result<()> {
             let mm = (points[k][0] - points[j][0]).hypot(points[k][1] - points[j][1]);
             let size_mm = [a, b].map(|m| super::shape::reach_mm(&m.kind).0);
             if mm < size_mm[0].max(size_mm[1]).max(LEAST_APART_MM) {
-                let remedy = if is_close { "are positions in millimetres?" } else { "correct a sign or a digit" };
+                let remedy = if is_close { "are the positions in millimetres?" } else { "correct a sign or a digit" };
                 return wrong(format!(
                     "\"{}\" and \"{}\" lie {mm:.2} mm apart, nearer than marks are large: {remedy}",
                     a.name, b.name
@@ -178,7 +178,7 @@ fn check_places(camera: &Camera, path: &Path) -> Result<()> {
     }
     if is_close {
         tracing::warn!(
-            "{}: marks: they lie {:.1} mm apart at most, on a film of {longest} mm: are their positions in millimetres?",
+            "{}: marks: they lie {:.1} mm apart at most, on a film of {longest} mm: are the positions in millimetres?",
             path.display(),
             apart[0].max(apart[1])
         );
