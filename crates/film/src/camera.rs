@@ -1,9 +1,9 @@
 //! Cameras as TOML files: those that come with the program, and the user's own.
 
+mod distances;
+
 use std::collections::HashSet;
 use std::path::Path;
-
-use nalgebra::{DMatrix, DVector};
 
 use super::types::{Camera, CameraMark, MarkKind, YAxis};
 use autoref_raster::bounded;
@@ -18,6 +18,11 @@ const BUILTIN: [(&str, &str); 7] = [
     ("side-notch", include_str!("cameras/side-notch.toml")),
     ("arc-cross", include_str!("cameras/arc-cross.toml")),
 ];
+
+/// Marks lie no nearer to each other, whatever their shape, millimetres.
+const LEAST_APART_MM: f64 = 0.5;
+/// Marks within less of the film's side are suspected of another unit.
+const CLOSE_SHARE: f64 = 0.2;
 
 /// The cameras that come with the program, in the order of `--list-cameras`.
 ///
@@ -77,9 +82,8 @@ pub fn parse(text: &str, path: &Path) -> Result<Camera> {
         Error::format(path, format!("line {line}"), what + remedy)
     })?;
     check(&camera, path)?;
-    if camera.marks.iter().any(|m| m.x_mm.is_none()) {
-        from_distances(&mut camera, path)?;
-    }
+    distances::settle(&mut camera, path)?;
+    check_places(&camera, path)?;
     Ok(camera)
 }
 
@@ -92,6 +96,9 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
     if camera.image_size_mm.is_some_and(|s| !s.iter().all(|v| positive(*v) && *v < 2000.0)) {
         return wrong("image_size_mm".into(), "must be two lengths in millimetres, above 0 and below 2000");
     }
+    if camera.centre_mm.is_some_and(|c| !c.iter().all(|v| v.is_finite() && v.abs() < 2000.0)) {
+        return wrong("centre_mm".into(), "must be two millimetres, x and y of the film's middle");
+    }
     if camera.focal_length_mm.is_some_and(|f| !positive(f)) {
         return wrong("focal_length_mm".into(), "must be above 0");
     }
@@ -101,19 +108,6 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
     for (boxes, place) in [(&camera.masked_mm, "masked_mm"), (&camera.text_boxes_mm, "text_boxes_mm")] {
         if !boxes.iter().flatten().all(|v| v.is_finite() && v.abs() < 2000.0) {
             return wrong(place.into(), "every box is four numbers in millimetres: x, y, x, y of two opposite corners");
-        }
-    }
-    for (axis, place) in [|m: &CameraMark| m.x_mm, |m: &CameraMark| m.y_mm].iter().enumerate() {
-        let places = || camera.marks.iter().filter_map(place);
-        let apart = places().fold(f64::MIN, f64::max) - places().fold(f64::MAX, f64::min);
-        // Film of which a part was cut off may be stated as what is left.
-        if apart > 1.2 * camera.film_size_mm[axis] {
-            let what = format!(
-                "lie {apart:.1} mm apart in {}, on a film of {} mm",
-                ["x", "y"][axis],
-                camera.film_size_mm[axis]
-            );
-            return wrong("marks".into(), &what);
         }
     }
     let mut names = HashSet::new();
@@ -128,7 +122,8 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
         if mark.x_mm.is_none() && mark.near_mm.is_none() {
             return wrong(place(), "has no position; give x_mm and y_mm, or near_mm and distances_mm");
         }
-        if ![mark.x_mm, mark.y_mm].iter().flatten().all(|v| v.is_finite() && v.abs() < 2000.0) {
+        let near = mark.near_mm.unwrap_or_default();
+        if ![mark.x_mm, mark.y_mm].iter().flatten().chain(&near).all(|v| v.is_finite() && v.abs() < 2000.0) {
             return wrong(place(), "its position is not on any film");
         }
         if !super::shape::is_sound(&mark.kind) {
@@ -138,13 +133,6 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
             );
         }
     }
-    let spread = |f: fn(&CameraMark) -> Option<f64>| {
-        let v: Vec<f64> = camera.marks.iter().filter_map(f).collect();
-        v.iter().copied().fold(f64::MIN, f64::max) - v.iter().copied().fold(f64::MAX, f64::min)
-    };
-    if camera.marks.iter().all(|m| m.x_mm.is_some()) && spread(|m| m.x_mm).hypot(spread(|m| m.y_mm)) < 1.0 {
-        return wrong("marks".into(), "all marks lie within a millimetre");
-    }
     for ([a, b], d) in &camera.distances_mm {
         if !(names.contains(a) && names.contains(b)) || a == b || !positive(*d) {
             return wrong(format!("distance {a} to {b}"), "must name two marks of the camera and be above 0");
@@ -153,53 +141,47 @@ fn check(camera: &Camera, path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Coordinates from distances: Gauss–Newton from the rough positions. What distances do not determine (place and turn)
-/// stays as the rough positions have it, since steps are of least norm.
-fn from_distances(camera: &mut Camera, path: &Path) -> Result<()> {
-    let index = |name: &str| camera.marks.iter().position(|m| m.name == name).expect("checked before");
-    let n = camera.marks.len();
-    let mut at: Vec<[f64; 2]> = camera
-        .marks
-        .iter()
-        .map(|m| m.near_mm.or(m.x_mm.zip(m.y_mm).map(|(x, y)| [x, y])).expect("checked before"))
-        .collect();
-    if camera.distances_mm.len() + 3 < 2 * n {
-        return Err(Error::format(
-            path,
-            "distances_mm",
-            format!("{} distances do not fix {n} marks; {} are needed", camera.distances_mm.len(), 2 * n - 3),
-        ));
+/// Marks that are known by now: not beyond the film, and none on another.
+fn check_places(camera: &Camera, path: &Path) -> Result<()> {
+    let wrong = |what: String| Err(Error::format(path, "marks", what));
+    let points = camera.film_points();
+    let (low, high) = camera.film_box();
+    let apart = [0, 1].map(|k| high[k] - low[k]);
+    for axis in [0, 1] {
+        // Film of which a part was cut off may be stated as what is left.
+        if apart[axis] > 1.2 * camera.film_size_mm[axis] {
+            return wrong(format!(
+                "lie {:.1} mm apart in {}, on a film of {} mm",
+                apart[axis],
+                ["x", "y"][axis],
+                camera.film_size_mm[axis]
+            ));
+        }
     }
-    let pairs: Vec<(usize, usize, f64)> =
-        camera.distances_mm.iter().map(|([a, b], d)| (index(a), index(b), *d)).collect();
-    for _ in 0..50 {
-        let mut design = DMatrix::zeros(pairs.len(), 2 * n);
-        let mut right = DVector::zeros(pairs.len());
-        for (row, &(a, b, d)) in pairs.iter().enumerate() {
-            let (dx, dy) = (at[a][0] - at[b][0], at[a][1] - at[b][1]);
-            let now = dx.hypot(dy).max(1e-9);
-            for (k, v) in [dx / now, dy / now].into_iter().enumerate() {
-                design[(row, 2 * a + k)] = v;
-                design[(row, 2 * b + k)] = -v;
+    if apart[0].hypot(apart[1]) < 1.0 {
+        return wrong("all marks lie within a millimetre".into());
+    }
+    let longest = camera.film_size_mm[0].max(camera.film_size_mm[1]);
+    let is_close = apart[0].max(apart[1]) < CLOSE_SHARE * longest;
+    for (k, a) in camera.marks.iter().enumerate() {
+        for (j, b) in camera.marks.iter().enumerate().skip(k + 1) {
+            let mm = (points[k][0] - points[j][0]).hypot(points[k][1] - points[j][1]);
+            let size_mm = [a, b].map(|m| super::shape::reach_mm(&m.kind).0);
+            if mm < size_mm[0].max(size_mm[1]).max(LEAST_APART_MM) {
+                let remedy = if is_close { "are the positions in millimetres?" } else { "correct a sign or a digit" };
+                return wrong(format!(
+                    "\"{}\" and \"{}\" lie {mm:.2} mm apart, nearer than marks are large: {remedy}",
+                    a.name, b.name
+                ));
             }
-            right[row] = d - now;
-        }
-        let Ok(step) = design.svd(true, true).solve(&right, 1e-9) else { break };
-        for (i, p) in at.iter_mut().enumerate() {
-            p[0] += step[2 * i];
-            p[1] += step[2 * i + 1];
-        }
-        if step.norm() < 1e-10 {
-            break;
         }
     }
-    let worst =
-        pairs.iter().map(|&(a, b, d)| ((at[a][0] - at[b][0]).hypot(at[a][1] - at[b][1]) - d).abs()).fold(0.0, f64::max);
-    if !worst.is_finite() || worst > 0.5 {
-        return Err(Error::format(path, "distances_mm", format!("contradict each other by {worst:.2} mm")));
-    }
-    for (mark, p) in camera.marks.iter_mut().zip(at) {
-        (mark.x_mm, mark.y_mm) = (Some(p[0]), Some(p[1]));
+    if is_close {
+        tracing::warn!(
+            "{}: marks: they lie {:.1} mm apart at most, on a film of {longest} mm: are the positions in millimetres?",
+            path.display(),
+            apart[0].max(apart[1])
+        );
     }
     Ok(())
 }
@@ -232,8 +214,11 @@ impl Camera {
         (end(f64::MAX, f64::min), end(f64::MIN, f64::max))
     }
 
-    /// The middle of the marks' bounding box, millimetres, y down.
+    /// The middle of the film, by default of the marks' bounding box, millimetres, y down.
     pub fn film_centre(&self) -> [f64; 2] {
+        if let Some([x, y]) = self.centre_mm {
+            return [x, self.y_sign() * y];
+        }
         let (low, high) = self.film_box();
         [0, 1].map(|k| 0.5 * (low[k] + high[k]))
     }
@@ -267,22 +252,18 @@ mod tests {
     }
 
     #[test]
-    fn marks_known_by_distances_only_get_coordinates() {
-        let text = r#"
-name = "d"
-film_size_mm = [100.0, 100.0]
-y_axis = "down"
-distances_mm = [[["a","b"],80.0],[["b","c"],80.0],[["c","d"],80.0],[["d","a"],80.0],[["a","c"],113.13708498984761]]
-marks = [
-  { name = "a", near_mm = [10.0, 11.0], kind = { shape = "dot", diameter_mm = 0.2 } },
-  { name = "b", near_mm = [91.0, 10.0], kind = { shape = "dot", diameter_mm = 0.2 } },
-  { name = "c", near_mm = [90.0, 92.0], kind = { shape = "dot", diameter_mm = 0.2 } },
-  { name = "d", near_mm = [10.0, 90.0], kind = { shape = "dot", diameter_mm = 0.2 } },
-]"#;
-        let p = parse(text, Path::new("d.toml")).expect("sound").film_points();
-        assert!(((p[1][0] - p[3][0]).hypot(p[1][1] - p[3][1]) - 113.137_084_989).abs() < 1e-6);
-        let few = text.replace(r#",[["a","c"],113.13708498984761]"#, "");
-        assert!(parse(&few, Path::new("d.toml")).is_err(), "four sides do not fix a quadrangle");
+    fn marks_at_one_place_are_refused_by_name() {
+        let text = include_str!("cameras/rmk-cross.toml");
+        let camera: Camera = toml::from_str(text).expect("built in");
+        let (a, b) = (&camera.marks[0], &camera.marks[1]);
+        let of = |m: &CameraMark| m.x_mm.zip(m.y_mm).expect("calibrated");
+        for beside_mm in [0.0, 0.03, 0.4] {
+            let mut wrong = camera.clone();
+            (wrong.marks[1].x_mm, wrong.marks[1].y_mm) = (Some(of(a).0 + beside_mm), Some(of(a).1));
+            let text = toml::to_string(&wrong).expect("plain data");
+            let said = parse(&text, Path::new("x.toml")).expect_err("refused").to_string();
+            assert!(said.starts_with("x.toml: marks: ") && said.contains(&a.name) && said.contains(&b.name), "{said}");
+        }
     }
 
     #[test]

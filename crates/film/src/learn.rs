@@ -14,7 +14,7 @@ use super::shown::Shown;
 pub use super::shown::Pointed;
 use super::stack::{Grid, Stack, cut};
 use super::template::{LearnedTemplate, Model};
-use super::types::{Camera, FrameResult, MarkKind, MarkStatus};
+use super::types::{Camera, CameraMark, FrameResult, MarkKind, MarkStatus};
 use autoref_raster::RasterSource;
 use autoref_raster::atomic;
 use autoref_raster::coords::{Handedness, PixelPoint};
@@ -229,30 +229,68 @@ pub fn learn_files(
     let visit =
         |k: usize, look: &mut dyn FnMut(&dyn RasterSource) -> Result<()>| look(open_scan(readable[k])?.as_ref());
     let templates = learn_visiting(readable.len(), &visit, camera, pointed, window_mm, options)?;
-    let _folder = OutputFolder::make(folder)?;
-    let mut learned = camera.clone();
-    learned.name = format!("{}-learned", camera.name);
-    learned.marks.clear();
-    for (mark, template) in camera.marks.iter().zip(&templates) {
-        let Some(template) = template else { continue };
-        let safe: String = mark.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
-        let file = format!("{}-{safe}.template.json", camera.name);
-        let json = serde_json::to_vec(template).expect("a template is plain data");
-        atomic::write(&folder.join(&file), &json)?;
-        let mut mark = mark.clone();
-        mark.kind = MarkKind::Learned { template: file.into() };
-        learned.marks.push(mark);
-    }
+    let (learned, files) = learned_camera(camera, &templates);
     if learned.marks.len() < 2 {
         return Err(Error::usage(
             "fewer than two marks could be learned",
             "give more frames, or point at the marks in the first one with --at MARK=X,Y",
         ));
     }
-    let path = folder.join(format!("{}.toml", learned.name));
+    let path = folder.join(format!("{}-learned.toml", file_name(&camera.name)));
     let text = toml::to_string(&learned).map_err(|e| Error::format(&path, "camera", e.to_string()))?;
+    // What would be refused is not written.
+    super::camera::parse(&text, &path)?;
+    let _folder = OutputFolder::make(folder)?;
+    for (file, template) in files {
+        let json = serde_json::to_vec(template).expect("a template is plain data");
+        atomic::write(&folder.join(file), &json)?;
+    }
     atomic::write(&path, text.as_bytes())?;
     Ok((path, readable.len()))
+}
+
+/// The camera with the marks that have a template, and each template with the file that the camera names. What the
+/// marks left out would tell is written: coordinates in the place of distances, the turns, and the film's middle.
+fn learned_camera<'a>(
+    camera: &Camera,
+    templates: &'a [Option<LearnedTemplate>],
+) -> (Camera, Vec<(String, &'a LearnedTemplate)>) {
+    let mut learned = Camera { name: format!("{}-learned", camera.name), distances_mm: vec![], ..camera.clone() };
+    learned.marks.clear();
+    if templates.iter().any(Option::is_none) {
+        learned.centre_mm = Some(stated_centre(camera));
+    }
+    let mut files: Vec<(String, &LearnedTemplate)> = vec![];
+    for ((mark, turn_deg), template) in camera.marks.iter().zip(camera.turns_deg()).zip(templates) {
+        let Some(template) = template else { continue };
+        let safe: String = mark.name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+        let stem = format!("{}-{safe}", file_name(&camera.name));
+        // Marks "-X" and "+X" have one safe name, "a" and "A" one file on some systems.
+        let free = |file: &String| files.iter().all(|(other, _)| !other.eq_ignore_ascii_case(file));
+        let numbered = (2..).map(|n| format!("{stem}-{n}.template.json"));
+        let file = std::iter::once(format!("{stem}.template.json")).chain(numbered).find(free);
+        let file = file.expect("numbers do not end");
+        learned.marks.push(CameraMark {
+            near_mm: None,
+            kind: MarkKind::Learned { template: PathBuf::from(&file) },
+            turn_deg: Some(turn_deg),
+            ..mark.clone()
+        });
+        files.push((file, template));
+    }
+    (learned, files)
+}
+
+/// The film's middle in the camera's own axes.
+fn stated_centre(camera: &Camera) -> [f64; 2] {
+    let [x, y] = camera.film_centre();
+    [x, camera.y_sign() * y]
+}
+
+/// A camera's name as that of a file in the folder.
+fn file_name(camera: &str) -> String {
+    let unsafe_in_names = |c: char| c.is_control() || r#"/\:*?"<>|"#.contains(c);
+    camera.trim_start_matches('.').chars().map(|c| if unsafe_in_names(c) { '_' } else { c }).collect()
 }
 
 /// With pointed marks the camera's own shapes are not wanted, and may not exist.
@@ -278,7 +316,8 @@ fn with_templates(camera: &Camera, templates: &[Option<LearnedTemplate>]) -> Res
             Some(mark.clone())
         })
         .collect();
-    // Turns follow from the whole camera, not from what is left of it.
+    // Turns and the film's middle follow from the whole camera, not from what is left of it.
+    kept.centre_mm = Some(stated_centre(camera));
     let turns = camera.turns_deg();
     for mark in &mut kept.marks {
         let k = camera.marks.iter().position(|m| m.name == mark.name).expect("taken from there");
@@ -308,4 +347,61 @@ fn good_marks(camera: &Camera, frame: &FrameResult) -> Vec<(usize, PixelPoint)> 
         .filter(|m| m.status != MarkStatus::Missing && m.score.is_some_and(|s| s >= LEAST_SCORE))
         .filter_map(|m| Some((camera.marks.iter().position(|c| c.name == m.mark)?, m.centre?)))
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::{load_camera, parse};
+
+    fn template() -> LearnedTemplate {
+        LearnedTemplate {
+            pixel_um: 50.0,
+            width: 8,
+            height: 8,
+            reference: [4.0, 4.0],
+            values: vec![0.5; 64],
+            weights: vec![1.0; 64],
+            marks: 1,
+            reference_sigma_um: 1.0,
+        }
+    }
+
+    #[test]
+    fn a_learned_camera_is_read_again_and_keeps_the_turns_of_marks_beside_those_left_out() {
+        let mut camera = load_camera("wild-15-4").expect("built in");
+        let name = |k: usize| camera.marks[k].name.clone();
+        camera.distances_mm = vec![([name(0), name(1)], 1.0), ([name(0), name(2)], 2.0)];
+        let turns = camera.turns_deg();
+        for left_out in 0..camera.marks.len() {
+            let mut templates = vec![Some(template()); camera.marks.len()];
+            templates[left_out] = None;
+            let (learned, _) = learned_camera(&camera, &templates);
+            let text = toml::to_string(&learned).expect("plain data");
+            let read = parse(&text, Path::new("x.toml")).expect("sound");
+            assert_eq!(read.film_centre(), camera.film_centre(), "without {}", camera.marks[left_out].name);
+            for (mark, turn_deg) in read.marks.iter().zip(read.turns_deg()) {
+                let k = camera.marks.iter().position(|m| m.name == mark.name).expect("taken from there");
+                assert_eq!(turn_deg, turns[k], "{} without {}", mark.name, camera.marks[left_out].name);
+            }
+        }
+    }
+
+    #[test]
+    fn every_template_has_a_file_of_its_own_in_the_folder() {
+        let mut camera = load_camera("wild-15-4").expect("built in");
+        camera.name = "../RC5/RC8".into();
+        for (mark, name) in camera.marks.iter_mut().zip(["-X", "+X", "a", "A", "_X", "x/y", "x y", "ü"]) {
+            mark.name = name.into();
+        }
+        let templates = vec![Some(template()); camera.marks.len()];
+        let (learned, files) = learned_camera(&camera, &templates);
+        let mut names: Vec<String> = files.iter().map(|(file, _)| file.to_lowercase()).collect();
+        names.sort();
+        names.dedup();
+        assert_eq!(names.len(), camera.marks.len(), "{files:?}");
+        assert!(names.iter().all(|n| n.starts_with("_rc5_rc8-") && !n.contains(['/', '\\'])), "{names:?}");
+        assert_eq!(learned.name, "../RC5/RC8-learned");
+        assert_eq!(file_name("wild-15-4"), "wild-15-4");
+    }
 }

@@ -3,7 +3,7 @@
 use autoref_raster::error::Result;
 use autoref_raster::{Described, RasterInfo, RasterSource, SampleType};
 
-use super::window::read_rows;
+use super::window::{read_rows, samples_of_rows};
 
 /// Values that stay below this share of white look flat, as what differs by less than half an 8-bit level does.
 const LITTLE: u16 = 64;
@@ -21,9 +21,10 @@ pub(super) fn with_own_white(source: &dyn RasterSource) -> Result<Option<Describ
     if info.sample != SampleType::U16 {
         return Ok(None);
     }
+    let samples = samples_of_rows(info);
     let mut counts = vec![0u64; 1 << 16];
     read_rows(source, &mut |row| {
-        row.iter().for_each(|&value| counts[usize::from(value)] += 1);
+        row.iter().step_by(samples).for_each(|&value| counts[usize::from(value)] += 1);
         Ok(())
     })?;
     let most_above = info.width * info.height / DEFECTS;

@@ -33,6 +33,8 @@ const POINT_MM: f64 = 0.015;
 const POINT_PX: f64 = 0.75;
 /// How far a reference point is found from where its shape puts it, millimetres: the shape's error in front of terrain.
 const HOLE_MM: f64 = 0.05;
+/// Places of two marks that lie no further apart are one, millimetres.
+const SAME_PLACE_MM: f64 = 0.1;
 /// A centre less certain than this is looked at by a person, pixels.
 const GOOD_SIGMA_PX: f64 = 0.5;
 
@@ -110,6 +112,7 @@ impl Finder {
             self.settle_points(source, &pose, &mut measured)?;
             naming = self.name_marks(options, &mut pose, &mut measured, &assembly.rivals);
         }
+        one_place_each(&self.film, &pose, &mut measured);
         self.judge(options, &pose, &measured, naming.doubt, result);
         Ok(naming.note)
     }
@@ -363,6 +366,21 @@ impl Finder {
     }
 }
 
+/// Leaves every place in the scan to one mark, the one that is expected nearest to it.
+fn one_place_each(film: &[[f64; 2]], pose: &Pose, measured: &mut [Option<Measured>]) {
+    let off = |k: usize, m: &Measured| distance(pose.apply(film[k]), m.centre);
+    for a in 0..film.len() {
+        for b in a + 1..film.len() {
+            let (Some(first), Some(second)) = (&measured[a], &measured[b]) else { continue };
+            let same_px =
+                (0.5 * distance(pose.apply(film[a]), pose.apply(film[b]))).min(SAME_PLACE_MM * pose.px_per_mm());
+            if distance(first.centre, second.centre) <= same_px {
+                measured[if off(a, first) <= off(b, second) { b } else { a }] = None;
+            }
+        }
+    }
+}
+
 /// Those that agree within `tolerance_px`; where fewer than three do, within three times as much.
 fn agreeing(
     film: &[[f64; 2]],
@@ -390,4 +408,29 @@ pub(super) fn located(
 /// Film point and place.
 pub(super) fn placed(film: &[[f64; 2]], located: &[(usize, PixelPoint)]) -> Vec<([f64; 2], PixelPoint)> {
     located.iter().map(|(k, p)| (film[*k], *p)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use autoref_raster::coords::Handedness;
+
+    #[test]
+    fn two_marks_have_no_place_in_common() {
+        let film = [[-20.0, 0.0], [20.0, 0.0], [0.0, 20.0], [0.7, 20.0]];
+        let pose = Pose::about([0.0, 0.0], PixelPoint { x: 500.0, y: 500.0 }, 20.0, 0.0, Handedness::AsIs);
+        let at = |k: usize, dx: f64| {
+            let p = pose.apply(film[k]);
+            let centre = PixelPoint { x: p.x + dx, y: p.y };
+            let (covariance_px2, misfit, noise) = (None, None, None);
+            Some(Measured { centre, covariance_px2, score: 0.9, misfit, noise, body: None, reason: None })
+        };
+        let kept = |mut measured: Vec<Option<Measured>>| {
+            one_place_each(&film, &pose, &mut measured);
+            measured.iter().map(Option::is_some).collect::<Vec<_>>()
+        };
+        assert_eq!(kept(vec![at(0, 0.2), at(1, -0.3), at(2, 0.1), at(3, 0.0)]), [true; 4]);
+        assert_eq!(kept(vec![at(0, 0.2), at(1, -0.3), at(2, 13.0), at(3, 0.0)]), [true, true, false, true]);
+        assert_eq!(kept(vec![at(0, 0.2), at(1, -0.3), at(2, 0.0), at(3, -13.5)]), [true, true, true, false]);
+    }
 }

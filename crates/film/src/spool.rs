@@ -6,7 +6,7 @@ use std::io::{BufWriter, Write};
 use std::os::unix::fs::FileExt;
 use std::sync::Arc;
 
-use super::window::{grey_info, read_rows};
+use super::window::{decoded_info, read_rows};
 use autoref_raster::error::{Error, Result};
 use autoref_raster::window::Window;
 use autoref_raster::{Block, Piece, PieceData, PooledBytes, RasterInfo, RasterSource, ReadStats, SampleType};
@@ -15,18 +15,18 @@ use autoref_raster::{Block, Piece, PieceData, PooledBytes, RasterInfo, RasterSou
 pub struct SpooledSource {
     info: RasterInfo,
     file: File,
-    sample_bytes: u64,
+    pixel_bytes: u64,
 }
 
 impl SpooledSource {
-    /// Decodes `source` from top to bottom. Disk: a byte (or two) per pixel in the system's folder for temporary files.
+    /// Decodes `source` from top to bottom. Disk: a byte (or two, twice that with alpha) per pixel in the system's
+    /// folder for temporary files.
     ///
     /// # Errors
     /// Those of reading; [`Error::Io`] when the temporary folder is full.
     pub fn of(source: &dyn RasterSource) -> Result<SpooledSource> {
         let from = source.info();
-        let mut info = grey_info(&from.path, from.width, from.height, from.sample, from.white);
-        info.geotransform = from.geotransform;
+        let info = decoded_info(from);
         let folder = std::env::temp_dir();
         let failed = |e| Error::io(&folder, "write a decoded scan into", e);
         let file = tempfile::tempfile().map_err(failed)?;
@@ -40,8 +40,8 @@ impl SpooledSource {
             written.map_err(failed)
         })?;
         let file = out.into_inner().map_err(|e| failed(e.into_error()))?;
-        let sample_bytes = if sample == SampleType::U8 { 1 } else { 2 };
-        Ok(SpooledSource { info, file, sample_bytes })
+        let pixel_bytes = info.bands as u64 * if sample == SampleType::U8 { 1 } else { 2 };
+        Ok(SpooledSource { info, file, pixel_bytes })
     }
 }
 
@@ -51,10 +51,10 @@ impl RasterSource for SpooledSource {
     }
 
     fn read(&self, window: Window) -> Result<Block> {
-        let line = (window.width * self.sample_bytes) as usize;
+        let line = (window.width * self.pixel_bytes) as usize;
         let mut bytes = vec![0u8; line * window.height as usize];
         for (k, row) in bytes.chunks_mut(line.max(1)).enumerate() {
-            let at = ((window.y + k as u64) * self.info.width + window.x) * self.sample_bytes;
+            let at = ((window.y + k as u64) * self.info.width + window.x) * self.pixel_bytes;
             self.file.read_exact_at(row, at).map_err(|e| Error::io(&self.info.path, "read the decoded copy of", e))?;
         }
         let data = match self.info.sample {
@@ -64,7 +64,9 @@ impl RasterSource for SpooledSource {
                 PieceData::U16(Arc::new(words))
             }
         };
-        let piece = Piece { window, data, offset: 0, row_stride: window.width as usize, pixel_stride: 1, empty: false };
+        let pixel_stride = self.info.bands;
+        let row_stride = window.width as usize * pixel_stride;
+        let piece = Piece { window, data, offset: 0, row_stride, pixel_stride, empty: false };
         Ok(Block { window, pieces: vec![piece] })
     }
 
@@ -76,7 +78,8 @@ impl RasterSource for SpooledSource {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::window::read_grey;
+    use crate::window::{GreySource, read_grey, read_grey_valid};
+    use autoref_raster::Described;
     use autoref_raster::memory::MemorySource;
 
     #[test]
@@ -87,6 +90,43 @@ mod tests {
         for window in [Window::new(0, 0, 70, 150), Window::new(3, 65, 40, 2), Window::new(69, 149, 1, 1)] {
             let (a, b) = (read_grey(&source, window, 1).expect("memory"), read_grey(&copy, window, 1).expect("a file"));
             assert_eq!(a.data, b.data);
+        }
+    }
+
+    #[test]
+    fn copies_keep_which_pixels_hold_something() {
+        let (width, height) = (70u64, 150u64);
+        let is_empty = |i: u64| i % width + i / width < 60;
+        let samples = |i: u64| {
+            let value = 10 + (i * 7 % 241) as u8;
+            if is_empty(i) { [9, 9, 9] } else { [9, value, 255] }
+        };
+        let rgb = MemorySource::rgb8(width, height, (0..width * height).flat_map(samples).collect());
+        let [grey_nodata, rgb_nodata, alpha] =
+            [([1; 3], Some(9.0), None), ([0, 1, 2], Some(9.0), None), ([1; 3], None, Some(0))]
+                .map(|(bands, nodata, alpha)| RasterInfo { rgb: bands, nodata, alpha, ..rgb.info().clone() });
+        let opaque = MemorySource::rgb8(
+            width,
+            height,
+            (0..width * height).flat_map(|i| [u8::from(!is_empty(i)), samples(i)[1], 255]).collect(),
+        );
+        let sources =
+            [Described::new(&rgb, grey_nodata), Described::new(&rgb, rgb_nodata), Described::new(&opaque, alpha)];
+        for source in &sources {
+            let copies: [Box<dyn RasterSource>; 2] = [
+                Box::new(SpooledSource::of(source).expect("a temporary file")),
+                Box::new(GreySource::read_whole(source).expect("memory")),
+            ];
+            for (window, factor) in [(Window::new(0, 0, 70, 150), 1), (Window::new(3, 5, 60, 140), 4)] {
+                let (grey, holds) = read_grey_valid(source, window, factor).expect("memory");
+                let holds = holds.expect("some hold nothing");
+                let left_out = holds.iter().filter(|holds| !**holds).count() as f64 / holds.len() as f64;
+                assert!((0.08..0.25).contains(&left_out), "{left_out}");
+                for copy in &copies {
+                    let (same, as_much) = read_grey_valid(copy.as_ref(), window, factor).expect("decoded");
+                    assert_eq!((same.data, as_much.as_ref()), (grey.data.clone(), Some(&holds)));
+                }
+            }
         }
     }
 }

@@ -33,6 +33,10 @@ pub struct Camera {
     /// Width and height of the exposed image, in millimetres; `None`: as far out as the marks.
     #[serde(default)]
     pub image_size_mm: Option<[f64; 2]>,
+    /// Middle of the film, camera's axes; `None`: the middle of the marks' bounding box, which the marks of one side
+    /// alone do not have.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub centre_mm: Option<[f64; 2]>,
     #[serde(default)]
     pub focal_length_mm: Option<f64>,
     pub y_axis: YAxis,

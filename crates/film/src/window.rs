@@ -98,38 +98,54 @@ fn add_means<const N: usize>(row: &[f32], scale: f32, out: &mut [f32]) {
     }
 }
 
-/// Gives every row of a scan as grey samples, from top to bottom; holds 64 rows.
+/// Samples of a pixel that [`read_rows`] gives: beside the grey one, where the scan says which pixels hold something,
+/// an alpha sample. A grey scan's nodata value needs none.
+pub(super) fn samples_of_rows(info: &RasterInfo) -> usize {
+    let [r, g, b] = info.rgb;
+    let is_colour = r != g || r != b;
+    if info.alpha.is_some() || info.nodata_sample().is_some() && is_colour { 2 } else { 1 }
+}
+
+/// Gives every row of a scan as grey samples, from top to bottom; holds 64 rows. Of two samples a pixel
+/// ([`samples_of_rows`]) the second is 0 where the scan holds nothing, else 1.
 ///
 /// # Errors
 /// Those of reading and of `sink`.
 pub fn read_rows(source: &dyn RasterSource, sink: &mut dyn FnMut(&[u16]) -> Result<()>) -> Result<()> {
     let from = source.info();
     let [r, g, b] = from.rgb;
+    let samples = samples_of_rows(from);
     let width = from.width as usize;
-    let mut rows = vec![0u16; width * 64];
+    let mut rows = vec![0u16; samples * width * 64];
     let mut top = 0;
     while top < from.height {
         let band = Window::new(0, top, from.width, 64.min(from.height - top));
         rows.fill(0);
-        for piece in source.read(band)?.pieces.iter().filter(|p| !p.empty) {
+        let block = source.read(band)?;
+        for piece in block.pieces.iter().filter(|p| !p.empty) {
             let part = piece.window.intersect(&band);
             for y in part.y..part.bottom() {
                 let row = piece.row(part.x, y, part.width);
-                let out = &mut rows[(y - top) as usize * width + part.x as usize..][..row.len];
+                let out = &mut rows[samples * ((y - top) as usize * width + part.x as usize)..][..samples * row.len];
                 let stride = row.pixel_stride;
+                let out = out.iter_mut().step_by(samples).enumerate();
                 match row.samples {
-                    Samples::U8(s) => out.iter_mut().enumerate().for_each(|(i, o)| {
+                    Samples::U8(s) => out.for_each(|(i, o)| {
                         let p = &s[i * stride..];
                         *o = u16::from(p[r].max(p[g]).max(p[b]));
                     }),
-                    Samples::U16(s) => out.iter_mut().enumerate().for_each(|(i, o)| {
+                    Samples::U16(s) => out.for_each(|(i, o)| {
                         let p = &s[i * stride..];
                         *o = p[r].max(p[g]).max(p[b]);
                     }),
                 }
             }
         }
-        for row in rows.chunks(width).take(band.height as usize) {
+        if samples == 2 {
+            let valid = block.to_patch(from).valid;
+            rows.iter_mut().skip(1).step_by(2).zip(valid).for_each(|(alpha, valid)| *alpha = u16::from(valid));
+        }
+        for row in rows.chunks(samples * width).take(band.height as usize) {
             sink(row)?;
         }
         top = band.bottom();
@@ -137,7 +153,7 @@ pub fn read_rows(source: &dyn RasterSource, sink: &mut dyn FnMut(&[u16]) -> Resu
     Ok(())
 }
 
-/// A scan held in memory, one band of 8 or 16 bits.
+/// A scan held in memory, one band of 8 or 16 bits, and an alpha band where [`samples_of_rows`] are two.
 pub struct GreySource {
     info: RasterInfo,
     data: GreyData,
@@ -159,8 +175,7 @@ impl GreySource {
 
     pub(super) fn read_whole(source: &dyn RasterSource) -> Result<Self> {
         let from = source.info();
-        let mut info = grey_info(&from.path, from.width, from.height, from.sample, from.white);
-        info.geotransform = from.geotransform;
+        let info = decoded_info(from);
         let (mut bytes, mut words): (Vec<u8>, Vec<u16>) = (vec![], vec![]);
         read_rows(source, &mut |row| {
             match from.sample {
@@ -174,6 +189,17 @@ impl GreySource {
             SampleType::U16 => GreyData::U16(Arc::new(words)),
         };
         Ok(GreySource { info, data })
+    }
+}
+
+/// What is known of a scan that [`read_rows`] decoded.
+pub(super) fn decoded_info(from: &RasterInfo) -> RasterInfo {
+    let grey = grey_info(&from.path, from.width, from.height, from.sample, from.white);
+    let geotransform = from.geotransform;
+    if samples_of_rows(from) == 2 {
+        RasterInfo { bands: 2, alpha: Some(1), geotransform, ..grey }
+    } else {
+        RasterInfo { nodata: from.nodata, geotransform, ..grey }
     }
 }
 
@@ -212,8 +238,9 @@ impl RasterSource for GreySource {
             GreyData::U8(bytes) => PieceData::U8(bytes.clone()),
             GreyData::U16(words) => PieceData::U16(words.clone()),
         };
-        let offset = window.y as usize * width + window.x as usize;
-        let piece = Piece { window, data, offset, row_stride: width, pixel_stride: 1, empty: false };
+        let pixel_stride = self.info.bands;
+        let offset = (window.y as usize * width + window.x as usize) * pixel_stride;
+        let piece = Piece { window, data, offset, row_stride: width * pixel_stride, pixel_stride, empty: false };
         Ok(Block { window, pieces: vec![piece] })
     }
 
@@ -228,6 +255,53 @@ impl RasterSource for GreySource {
 /// # Errors
 /// Those of [`RasterSource::read`].
 pub fn read_grey(source: &dyn RasterSource, window: Window, factor: u64) -> Result<Grey> {
+    read_pieces(source, window, factor, &mut |_, _| {})
+}
+
+/// As [`read_grey`], and which values hold something: `None` where all do. A value of which a pixel holds nothing
+/// (nodata, zero alpha, a block that the file leaves out) does not.
+///
+/// # Errors
+/// Those of [`RasterSource::read`].
+pub(super) fn read_grey_valid(
+    source: &dyn RasterSource,
+    window: Window,
+    factor: u64,
+) -> Result<(Grey, Option<Vec<bool>>)> {
+    let info = source.info();
+    let tells = info.alpha.is_some() || info.nodata_sample().is_some();
+    let whole = window.intersect(&info.bounds());
+    let (width, height) = ((whole.width / factor) as usize, (whole.height / factor) as usize);
+    let mut holds: Option<Vec<bool>> = None;
+    let mut leave_out = |x: u64, y: u64| {
+        let (i, j) = (((x - whole.x) / factor) as usize, ((y - whole.y) / factor) as usize);
+        if i < width && j < height {
+            holds.get_or_insert_with(|| vec![true; width * height])[j * width + i] = false;
+        }
+    };
+    let grey = read_pieces(source, window, factor, &mut |block, band| {
+        for piece in block.pieces.iter().filter(|p| p.empty || tells) {
+            let part = piece.window.intersect(band);
+            // A few rows at a time: a block may be as wide as the scan.
+            for y in (part.y..part.bottom()).step_by(16) {
+                let rows = Window::new(part.x, y, part.width, 16.min(part.bottom() - y));
+                let valid = block.patch(rows, info).valid;
+                for (i, _) in valid.iter().enumerate().filter(|(_, valid)| !**valid) {
+                    leave_out(rows.x + i as u64 % rows.width, rows.y + i as u64 / rows.width);
+                }
+            }
+        }
+    })?;
+    Ok((grey, holds))
+}
+
+/// [`read_grey`] that shows every block to `look`, with the part of the window that it was read for.
+fn read_pieces(
+    source: &dyn RasterSource,
+    window: Window,
+    factor: u64,
+    look: &mut dyn FnMut(&Block, &Window),
+) -> Result<Grey> {
     let info = source.info();
     let window = window.intersect(&info.bounds());
     let (width, height) = ((window.width / factor) as usize, (window.height / factor) as usize);
@@ -243,6 +317,7 @@ pub fn read_grey(source: &dyn RasterSource, window: Window, factor: u64) -> Resu
     while top < used.bottom() {
         let band = Window::new(used.x, top, used.width, band_rows.min(used.bottom() - top));
         let block = source.read(band)?;
+        look(&block, &band);
         for piece in block.pieces.iter().filter(|p| !p.empty) {
             let part = piece.window.intersect(&band);
             for y in part.y..part.bottom() {

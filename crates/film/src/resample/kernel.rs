@@ -96,23 +96,47 @@ impl Sampler {
     }
 
     /// The value at a place in units of values (0 the outer corner of the first); weights add up to one, also at the
-    /// rim. `None` outside. `scratch` spares allocations.
-    pub fn at(&self, grey: &Grey, [x, y]: [f64; 2], scratch: &mut [Vec<f32>; 2]) -> Option<f32> {
+    /// rim and beside values that hold nothing (`holds`; `None`: all do), which take no part. `None` outside and in
+    /// such a value. `scratch` spares allocations.
+    pub fn at(
+        &self,
+        (grey, holds): (&Grey, Option<&[bool]>),
+        [x, y]: [f64; 2],
+        scratch: &mut [Vec<f32>; 2],
+    ) -> Option<f32> {
         if !(x >= 0.0 && y >= 0.0 && x < grey.width as f64 && y < grey.height as f64) {
+            return None;
+        }
+        let own = y as usize * grey.width + x as usize;
+        if holds.is_some_and(|holds| !holds[own]) {
             return None;
         }
         let [wx, wy] = scratch;
         let (x0, y0) = (self.axis(x, grey.width, wx), self.axis(y, grey.height, wy));
         let (mut sum, mut total) = (0.0f32, 0.0f32);
+        let (mut held, mut lost) = (0.0f32, 0.0f32);
         for (j, v) in wy.iter().enumerate() {
-            let row = &grey.data[(y0 + j) * grey.width + x0..][..wx.len()];
+            let first = (y0 + j) * grey.width + x0;
+            let row = &grey.data[first..][..wx.len()];
             sum += v * row.iter().zip(wx.iter()).map(|(g, w)| g * w).sum::<f32>();
             total += v;
+            let Some(holds) = holds else { continue };
+            for ((g, w), _) in row.iter().zip(wx.iter()).zip(&holds[first..]).filter(|(_, holds)| !**holds) {
+                held += v * w * g;
+                lost += v * w;
+            }
         }
         let total = total * wx.iter().sum::<f32>();
-        (total.abs() > 1e-6).then(|| sum / total)
+        if lost != 0.0 && total - lost < LEAST_WEIGHT * total {
+            // In a corner of what holds something the rest of the kernel would be blown up.
+            return Some(grey.data[own]);
+        }
+        (total.abs() > 1e-6).then(|| (sum - held) / (total - lost))
     }
 }
+
+/// Less of a kernel's weight gives no value.
+const LEAST_WEIGHT: f32 = 0.3;
 
 #[cfg(test)]
 mod tests {
@@ -133,14 +157,34 @@ mod tests {
             for ratio in [0.7, 1.0, 2.6] {
                 let sampler = Sampler::new(kernel, ratio);
                 for (x, y) in [(0.1, 0.2), (4.5, 3.5), (8.9, 7.9), (3.3, 6.1)] {
-                    let v = sampler.at(&flat, [x, y], &mut scratch).expect("inside");
+                    let v = sampler.at((&flat, None), [x, y], &mut scratch).expect("inside");
                     assert!((v - 0.25).abs() < 1e-6, "{kernel:?} {ratio}: {v}");
                 }
                 if ratio <= 1.0 {
-                    let v = sampler.at(&grey, [4.5, 3.5], &mut scratch).expect("inside");
+                    let v = sampler.at((&grey, None), [4.5, 3.5], &mut scratch).expect("inside");
                     assert!((v - grey.at(4, 3)).abs() < 1e-5, "{kernel:?}: {v}");
                 }
-                assert_eq!(sampler.at(&flat, [9.0, 1.0], &mut scratch), None);
+                assert_eq!(sampler.at((&flat, None), [9.0, 1.0], &mut scratch), None);
+            }
+        }
+    }
+
+    #[test]
+    fn values_that_hold_nothing_take_no_part() {
+        let holds: Vec<bool> = (0..72).map(|i| i % 9 + i / 9 > 6).collect();
+        let data = holds.iter().map(|h| if *h { 0.25 } else { 1.0 }).collect();
+        let grey = Grey { width: 9, height: 8, data, origin: [0, 0], factor: 1 };
+        let mut scratch = Default::default();
+        for kernel in [Kernel::Bilinear, Kernel::Cubic, Kernel::Lanczos] {
+            for ratio in [0.7, 1.0, 2.6] {
+                let sampler = Sampler::new(kernel, ratio);
+                for i in 0..4 * 72 {
+                    let (x, y) = ((i % 18) as f64 / 2.0 + 0.2, (i / 18) as f64 / 2.0 + 0.3);
+                    let value = sampler.at((&grey, Some(&holds)), [x, y], &mut scratch);
+                    let own = holds[y as usize * 9 + x as usize];
+                    assert_eq!(value.is_some(), own, "{kernel:?} {ratio}: {x}, {y}");
+                    assert!(value.is_none_or(|v| (v - 0.25).abs() < 1e-5), "{kernel:?} {ratio}: {value:?} at {x}, {y}");
+                }
             }
         }
     }

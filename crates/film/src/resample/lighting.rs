@@ -13,7 +13,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::types::{Camera, InteriorOrientation};
-use crate::window::read_grey;
+use crate::window::read_grey_valid;
 use autoref_raster::RasterSource;
 use autoref_raster::error::Result;
 use autoref_raster::ranks::{median, upper_median};
@@ -77,10 +77,11 @@ pub fn cells(
     let rows = 64 * factor;
     for top in (0..info.height).step_by(rows as usize) {
         let band = Window::new(0, top, info.width, rows.min(info.height - top));
-        let grey = read_grey(source, band, factor)?;
+        let (grey, holds) = read_grey_valid(source, band, factor)?;
         source.release(band);
-        sorted.extend_from_slice(&grey.data);
-        for (i, v) in grey.data.iter().enumerate() {
+        let holds = |i: &usize| holds.as_ref().is_none_or(|holds| holds[*i]);
+        for (i, v) in grey.data.iter().enumerate().filter(|(i, _)| holds(i)) {
+            sorted.push(*v);
             let at = grey.to_scan((i % grey.width) as f64 + 0.5, (i / grey.width) as f64 + 0.5);
             let Some([x, y]) = interior.to_mm(at) else { continue };
             let film = [x, camera.y_sign() * y];

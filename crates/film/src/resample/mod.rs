@@ -14,10 +14,11 @@ use gdal::raster::{Buffer, GdalType, RasterCreationOptions};
 use gdal::{Dataset, DriverManager, Metadata};
 
 use super::types::{Camera, InteriorOrientation};
-use super::window::{Grey, read_grey};
+use super::window::{Grey, read_grey_valid};
 use autoref_raster::atomic::{self, Existing};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
+use autoref_raster::fingerprint::size_and_time;
 use autoref_raster::window::Window;
 use autoref_raster::{RasterSource, SampleType};
 use banding::{Banding, Bands};
@@ -52,11 +53,19 @@ pub enum Light<'a> {
     OfRoll(&'a Lighting),
 }
 
-/// What a frame's file says of itself, in its TIFF description, so that a roll that was stopped goes on where it was.
-pub fn description(camera: &Camera, interior: &InteriorOrientation, options: &ResampleOptions, light: &str) -> String {
+/// What a frame's file says of itself, in its TIFF description, so that a roll that was stopped goes on where it was
+/// and no picture of an earlier scan is kept.
+pub fn description(
+    scan: &Path,
+    camera: &Camera,
+    interior: &InteriorOrientation,
+    options: &ResampleOptions,
+    light: &str,
+) -> String {
     let boxes = [&camera.masked_mm[..], &options.boxes_mm[..]].concat();
     serde_json::json!({
-        "program": concat!("autoref-stream ", env!("CARGO_PKG_VERSION")), "camera": camera.name,
+        "program": concat!("autoref-stream ", env!("CARGO_PKG_VERSION")),
+        "scan": size_and_time(scan), "camera": camera.name, "marks_mm": camera.film_points(),
         "pixel_mm": options.pixel_mm, "kernel": options.kernel.name(), "mask_radius_mm": options.mask_radius_mm,
         "boxes_mm": boxes,
         "banding": options.banding.name(), "lighting": light,
@@ -74,15 +83,25 @@ pub fn is_done(image: &Path, mask: &Path, description: &str, existing: Existing)
         return Ok(false);
     }
     let said = |path: &Path| Dataset::open(path).ok()?.metadata_item("TIFFTAG_IMAGEDESCRIPTION", "");
-    if said(image).as_deref() == Some(description) && said(mask).as_deref() == Some(description) {
+    let before = [said(image), said(mask)];
+    if before.iter().all(|said| said.as_deref() == Some(description)) {
         // A file that was cut short is made again.
         return Ok(ends(image) && ends(mask));
     }
     let there = if image.exists() { image } else { mask };
+    let differs = before.iter().flatten().map(|said| differing(said, description)).find(|keys| !keys.is_empty());
+    let differs = differs.map_or(String::new(), |keys| format!(" ({})", keys.join(", ")));
     Err(Error::usage(
-        format!("the output {} exists and was made otherwise", there.display()),
+        format!("the output {} exists and was made otherwise{differs}", there.display()),
         "give --overwrite to replace it, or another folder",
     ))
+}
+
+/// What two descriptions say otherwise.
+fn differing(before: &str, now: &str) -> Vec<String> {
+    let read = |text: &str| serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(text).ok();
+    let Some((before, now)) = read(before).zip(read(now)) else { return vec![] };
+    now.iter().filter(|(key, value)| before.get(*key) != Some(*value)).map(|(key, _)| key.clone()).collect()
 }
 
 /// Whether the last row of a raster can be read.
@@ -249,8 +268,9 @@ impl<'a> Grid<'a> {
         Some(Window::new(x0, y0, x1 - x0, y1 - y0))
     }
 
-    /// The values that a tile needs, with the kernel's reach; `None` when the tile lies outside the scan.
-    fn window(&self, x: usize, y: usize, w: usize, h: usize) -> Result<Option<Grey>> {
+    /// The values that a tile needs, with the kernel's reach, and which of them hold something, `None` where all do;
+    /// nothing when the tile lies outside the scan.
+    fn window(&self, x: usize, y: usize, w: usize, h: usize) -> Result<Option<(Grey, Option<Vec<bool>>)>> {
         let corners: Vec<PixelPoint> = [(x, y), (x + w, y), (x, y + h), (x + w, y + h)]
             .iter()
             .filter_map(|&(x, y)| self.scan(self.film(x, y)))
@@ -268,10 +288,10 @@ impl<'a> Grid<'a> {
         // All tiles average the same groups of pixels.
         let (x0, y0) = (x0 / self.factor * self.factor, y0 / self.factor * self.factor);
         let window = Window::new(x0, y0, x1 - x0, y1 - y0);
-        let mut grey = read_grey(self.source, window, self.factor)?;
+        let (mut grey, valid) = read_grey_valid(self.source, window, self.factor)?;
         self.source.release(window);
         self.bands.remove(&mut grey);
-        Ok(Some(grey))
+        Ok(Some((grey, valid)))
     }
 
     /// Upper left corners of the tiles, in the order that follows the scan's rows: each strip is decoded for one line
@@ -309,11 +329,14 @@ impl<'a> Grid<'a> {
         for (x, y) in self.tiles() {
             let (w, h) = (TILE.min(width - x), TILE.min(height - y));
             let (mut pixels, mut valid) = (vec![T::default(); w * h], vec![0u8; w * h]);
-            if let Some(grey) = self.window(x, y, w, h)? {
+            if let Some((grey, holds)) = self.window(x, y, w, h)? {
+                let holds = holds.as_deref();
                 for (i, (p, v)) in pixels.iter_mut().zip(&mut valid).enumerate() {
                     let film = self.film(x + i % w, y + i / w);
                     let Some(at) = self.scan(film) else { continue };
-                    let Some(value) = self.sampler.at(&grey, grey.from_scan(at), &mut scratch) else { continue };
+                    let Some(value) = self.sampler.at((&grey, holds), grey.from_scan(at), &mut scratch) else {
+                        continue;
+                    };
                     let even = self.lighting.as_ref().map_or(value, |l| l.corrected(value, self.unit(film)));
                     *p = store(even.clamp(0.0, 1.0) * white);
                     *v = if self.masked(film) { 0 } else { 255 };
@@ -325,5 +348,79 @@ impl<'a> Grid<'a> {
         }
         written.close(out)?;
         written_mask.close(out_mask)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::types::InteriorModel;
+    use autoref_raster::coords::Handedness;
+    use autoref_raster::memory::MemorySource;
+    use autoref_raster::{Described, RasterInfo};
+
+    /// A scan of 0.1 mm a pixel, the film's origin in its middle.
+    fn upright(side: f64) -> InteriorOrientation {
+        InteriorOrientation {
+            model: InteriorModel::Similarity,
+            pixel_to_mm: [0.1, 0.0, -0.05 * side, 0.0, 0.1, -0.05 * side, 0.0, 0.0, 1.0],
+            rmse_um: 0.0,
+            sigma0_um: None,
+            covariance: vec![],
+            marks: vec![],
+            leave_one_out_um: vec![],
+            leave_one_out_rmse_um: None,
+            pixel_um: 100.0,
+            pixel_xy_um: [100.0; 2],
+            rotation_deg: 0.0,
+            mirrored: Handedness::AsIs,
+        }
+    }
+
+    #[test]
+    fn what_a_scan_leaves_empty_is_masked_and_mixed_with_nothing() {
+        const SIDE: u64 = 80;
+        let mark = |name: &str, x: f64, y: f64| {
+            format!("{{ name = \"{name}\", x_mm = {x}, y_mm = {y}, kind = {{ shape = \"dot\", diameter_mm = 0.2 }} }}")
+        };
+        let text = format!(
+            "name = \"small\"\nfilm_size_mm = [8.0, 8.0]\ny_axis = \"down\"\nmarks = [{}, {}]",
+            mark("A", -3.5, -3.5),
+            mark("B", 3.5, 3.5)
+        );
+        let camera = crate::camera::parse(&text, Path::new("small.toml")).expect("a camera");
+        let is_empty = |i: u64| i % SIDE + i / SIDE < 50;
+        let rgb = MemorySource::rgb8(
+            SIDE,
+            SIDE,
+            (0..SIDE * SIDE).flat_map(|i| if is_empty(i) { [0, 255, 0] } else { [200, 200, 255] }).collect(),
+        );
+        let said =
+            |bands, nodata, alpha| Described::new(&rgb, RasterInfo { rgb: bands, nodata, alpha, ..rgb.info().clone() });
+        let interior = upright(SIDE as f64);
+        let folder = tempfile::tempdir().expect("a folder");
+        for source in [said([0; 3], Some(0.0), None), said([1; 3], None, Some(2))] {
+            for (pixel_mm, kernel) in [(0.05, Kernel::Cubic), (0.1, Kernel::Bilinear), (0.7, Kernel::Lanczos)] {
+                let options =
+                    ResampleOptions { pixel_mm, kernel, mask_radius_mm: 0.0, boxes_mm: vec![], banding: Banding::Off };
+                let [image, mask] = ["image.tif", "mask.tif"].map(|name| folder.path().join(name));
+                resample(&source, &camera, &interior, &options, Light::AsScanned, "{}", [&image, &mask])
+                    .expect("writable");
+                let read = |path: &Path| {
+                    let dataset = Dataset::open(path).expect("written");
+                    let band = dataset.rasterband(1).expect("a band");
+                    (dataset.raster_size().0, band.read_band_as::<u8>().expect("values").data().to_vec())
+                };
+                let ((width, values), (_, mask)) = (read(&image), read(&mask));
+                let mut wrong = 0;
+                for (i, (value, shown)) in values.iter().zip(&mask).enumerate() {
+                    assert_eq!(*value, if *shown == 255 { 200 } else { 0 }, "{pixel_mm} {kernel:?}: {i}");
+                    let at = [i % width, i / width].map(|k| (((k as f64 + 0.5) * pixel_mm + 0.5) / 0.1) as u64);
+                    wrong += usize::from(is_empty(at[1] * SIDE + at[0]) == (*shown == 255));
+                }
+                assert!(wrong * 20 <= values.len(), "{pixel_mm} {kernel:?}: {wrong} of {}", values.len());
+                assert!(mask.contains(&255) && mask.contains(&0));
+            }
+        }
     }
 }

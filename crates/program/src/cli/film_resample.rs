@@ -9,6 +9,7 @@ use autoref_film::resample::kernel::Kernel;
 use autoref_film::resample::lighting::{self, Lighting};
 use autoref_film::resample::{self, Light, ResampleOptions};
 use autoref_film::{Camera, FrameResult, scan};
+use autoref_raster::fingerprint::{Fingerprint, size_and_time};
 use autoref_raster::words::counted;
 use clap::ValueEnum;
 
@@ -108,13 +109,13 @@ pub fn resample_roll(dir: &Path, camera: &Camera, frames: &[FrameResult], args: 
         LightingName::Off => "as scanned".to_string(),
         LightingName::Frame => "frame".into(),
         // The roll is part of what the light is.
-        LightingName::Roll => format!("roll of {}", solved.len()),
+        LightingName::Roll => format!("roll of {} ({})", solved.len(), states(&solved)),
     };
     let mut missing = Vec::new();
     for frame in solved.iter().copied() {
         let Some(interior) = &frame.interior else { continue };
         let outputs = outputs(dir, frame);
-        let description = resample::description(camera, interior, &options, &light);
+        let description = resample::description(&frame.path, camera, interior, &options, &light);
         if !resample::is_done(&outputs[0], &outputs[1], &description, Existing::of_flag(args.overwrite))? {
             missing.push((frame, interior, outputs, description));
         }
@@ -144,6 +145,12 @@ pub fn resample_roll(dir: &Path, camera: &Camera, frames: &[FrameResult], args: 
         bail!("{} not resampled: {}", counted(failed.len(), "frame was", "frames were"), failed.join("; "));
     }
     Ok(())
+}
+
+/// What tells a roll's scans and orientations from others.
+fn states(frames: &[&FrameResult]) -> String {
+    let of = |frame: &&FrameResult| format!("{} {:?}", size_and_time(&frame.path), frame.interior);
+    Fingerprint::of(&frames.iter().map(of).collect::<String>()).hex()
 }
 
 fn outputs(dir: &Path, frame: &FrameResult) -> [PathBuf; 2] {
