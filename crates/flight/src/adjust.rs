@@ -5,6 +5,7 @@ mod adjusted;
 mod astray;
 mod datum;
 mod misfit;
+mod offset;
 mod options;
 mod outcome;
 mod positions;
@@ -12,6 +13,7 @@ mod rays;
 mod reason;
 mod screening;
 mod snooping;
+mod standing;
 mod survey;
 
 use nalgebra::Vector3;
@@ -26,6 +28,7 @@ use self::outcome::End;
 use self::positions::Aside;
 use self::screening::Screened;
 use self::snooping::Snooped;
+use self::standing::Standing;
 pub use self::survey::{GroundPoint, Role};
 use crate::bundle::{
     BundleCamera, BundleFrame, BundlePoint, Deviations, FROM_NEAR, Loss, Observation, Options, Problem, Treatment,
@@ -77,50 +80,17 @@ fn adjust_all(
     let dropped_ties = world.ties.len() - ties;
     notes.extend(snooping::hold_interiors(&mut problem));
 
-    // First everything may be wrong; then the ties' own accuracy is the unit; then GCPs count in full and are tested.
-    let (mut screened, positions_aside) = robustly(&mut problem, ties, &control)?;
-    let sigmas = options.sigma_tie_px.map_or_else(
-        || sigmas_of_ties(&problem, ties).map(|s| s.max(options.least_sigma_tie_px)),
-        |stated| [stated; 3],
-    );
-    let sigma_tie_px = sigmas[0];
-    let rays = rays_of_ties(&problem, ties);
-    for o in &mut problem.observations {
-        if o.point < ties {
-            o.sigma_px = sigmas[if rays[o.point] == 2 { 1 } else { 2 }];
-        } else {
-            o.trust = Trust::Full;
-        }
-    }
-    if control.is_empty() {
-        notes.extend(positions::snoop(&mut problem, &world, positions_aside)?);
-    }
-    let explained = |error| reason::explained(error, model, &control);
-    let mut snooped = snooping::snoop(&mut problem, ties, &control, options, &mut screened).map_err(explained)?;
-    // What was set aside early may be right after all.
-    if snooped.factored.as_ref().is_some_and(|f| screened.readmit(&mut problem, f, options.critical)) {
-        let again = snooping::snoop(&mut problem, ties, &control, options, &mut screened).map_err(explained)?;
-        snooped = Snooped { blunders: snooped.blunders.into_iter().chain(again.blunders).collect(), ..again };
-    }
-    let Snooped { mut blunders, summary, mut factored } = snooped;
-    blunders.splice(..0, screened.blunders(&problem, ties, &control));
-    if let Some(note) = snooping::without_sigmas(&summary, factored.as_ref()) {
-        notes.push(note.into());
-        factored = None;
-    }
-    if let Some(camera) = problem.cameras.iter().map(|c| &c.camera).find(|c| c.f_px().is_nan() || c.f_px() <= 0.0) {
-        return Err(Error::no_result(
-            format!("the block collapses: its focal length would be {:.0} px", camera.f_px()),
-            "check the coordinates and the CRS of the table and of the list, and the focal length",
-        ));
-    }
+    let block = Block { model, world: &world, control: &control, ties, options };
+    let standing = block.standing(problem)?;
+    notes.extend(offset::note(&standing));
+    let Standing { problem, deviations, blunders, summary, sigma_tie_px, notes: said } = standing;
+    notes.extend(said);
     notes.extend(snooping::unfixed(&problem, &world, astray));
     let contradictions = snooping::contradictions(&problem, &world, &control, &blunders);
     if !contradictions.is_empty() {
         notes.extend(reason::guess(model, &control).map(|said| format!("the GCPs do not fit: {said}")));
     }
     notes.extend(contradictions);
-    let deviations = factored.map(|f| Deviations::new(&problem, f, snooping::LOSS, ties));
     let of_lens = deviations.as_ref().filter(|_| options.ties == TiesFrom::Images);
     notes.extend(of_lens.and_then(|d| snooping::missing_terms(&problem, d)));
     let end = End { problem, deviations, kept, ties, dropped_ties, blunders, summary, sigma_tie_px, notes };
@@ -132,13 +102,85 @@ fn adjust_all(
     Ok(adjusted)
 }
 
+/// A block on the ground, and what it is adjusted by.
+struct Block<'a> {
+    /// As it was read.
+    model: &'a Reconstruction,
+    /// As it was placed.
+    world: &'a Reconstruction,
+    control: &'a [&'a GroundPoint],
+    ties: usize,
+    options: &'a AdjustOptions,
+}
+
+impl Block<'_> {
+    /// Adjusts with the positions as they stand, and where GCPs then seem to contradict them, with an offset of all.
+    fn standing(&self, problem: Problem) -> Result<Standing> {
+        if !offset::is_testable(&problem, self.control) {
+            return self.adjusted(problem);
+        }
+        let as_stated = self.adjusted(problem.clone());
+        if as_stated.as_ref().is_ok_and(offset::is_doubtless) {
+            return as_stated;
+        }
+        match self.adjusted(offset::freed(problem)) {
+            Ok(apart) if offset::is_borne_out(&apart, as_stated.as_ref().ok()) => Ok(apart),
+            _ => as_stated,
+        }
+    }
+
+    /// First everything may be wrong; then the ties' own accuracy is the unit; then GCPs count in full and are tested.
+    fn adjusted(&self, mut problem: Problem) -> Result<Standing> {
+        let Block { control, ties, options, .. } = *self;
+        let (mut screened, positions_aside) = robustly(&mut problem, ties, control)?;
+        let sigmas = options.sigma_tie_px.map_or_else(
+            || sigmas_of_ties(&problem, ties).map(|s| s.max(options.least_sigma_tie_px)),
+            |stated| [stated; 3],
+        );
+        let rays = rays_of_ties(&problem, ties);
+        for o in &mut problem.observations {
+            if o.point < ties {
+                o.sigma_px = sigmas[if rays[o.point] == 2 { 1 } else { 2 }];
+            } else {
+                o.trust = Trust::Full;
+            }
+        }
+        let mut notes = Vec::new();
+        if positions::are_tested(&problem, control) {
+            notes.extend(positions::snoop(&mut problem, self.world, positions_aside)?);
+        }
+        let explained = |error| reason::explained(error, self.model, control);
+        let mut snooped = snooping::snoop(&mut problem, ties, control, options, &mut screened).map_err(explained)?;
+        // What was set aside early may be right after all.
+        if snooped.factored.as_ref().is_some_and(|f| screened.readmit(&mut problem, f, options.critical)) {
+            let again = snooping::snoop(&mut problem, ties, control, options, &mut screened).map_err(explained)?;
+            snooped = Snooped { blunders: snooped.blunders.into_iter().chain(again.blunders).collect(), ..again };
+        }
+        let Snooped { mut blunders, summary, mut factored } = snooped;
+        blunders.splice(..0, screened.blunders(&problem, ties, control));
+        if let Some(note) = snooping::without_sigmas(&summary, factored.as_ref()) {
+            notes.push(note.into());
+            factored = None;
+        }
+        if let Some(camera) = problem.cameras.iter().map(|c| &c.camera).find(|c| c.f_px().is_nan() || c.f_px() <= 0.0) {
+            return Err(Error::no_result(
+                format!("the block collapses: its focal length would be {:.0} px", camera.f_px()),
+                "check the coordinates and the CRS of the table and of the list, and the focal length",
+            ));
+        }
+        let deviations = factored.map(|f| Deviations::new(&problem, f, snooping::LOSS, ties));
+        Ok(Standing { problem, deviations, blunders, summary, sigma_tie_px: sigmas[0], notes })
+    }
+}
+
 /// Adjusts with everything taken for possibly wrong, and sets aside what is grossly wrong: measurements, and positions
-/// where nothing else places the block.
+/// where they are tested.
 fn robustly(problem: &mut Problem, ties: usize, control: &[&GroundPoint]) -> Result<(Screened, Vec<Aside>)> {
     for o in &mut problem.observations {
         o.trust = Trust::Robust;
     }
-    let positions_aside = if control.is_empty() { positions::set_aside(problem) } else { Vec::new() };
+    let are_tested = positions::are_tested(problem, control);
+    let positions_aside = if are_tested { positions::set_aside(problem) } else { Vec::new() };
     let loss = Loss::Huber(2.0);
     let mut robust = Options { loss, most_iterations: 60, least_gain: 1e-8, ..Options::default() };
     let mut screened = Screened::default();

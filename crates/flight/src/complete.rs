@@ -245,6 +245,7 @@ fn drawn_pose(block: &Reconstruction, seen: &[([f64; 2], Vector3<f64>)]) -> Opti
             .zip(seen)
             .map(|(point, s)| Observation { frame: 0, point, pixel: s.0, sigma_px: 2.0, trust: Trust::Robust })
             .collect(),
+        offset: None,
     };
     solve(&mut problem, &ROBUST).ok()?;
     let pose = problem.frames[0].pose;
@@ -290,6 +291,7 @@ fn adjust(block: &mut Reconstruction) -> Result<Summary> {
             .collect(),
         points: block.ties.iter().map(|t| BundlePoint { xyz: t.xyz, survey: None }).collect(),
         observations: Vec::new(),
+        offset: None,
     };
     for (point, tie) in block.ties.iter().enumerate() {
         problem.observations.extend(tie.seen.iter().map(|(frame, pixel)| Observation {

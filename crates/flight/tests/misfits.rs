@@ -133,3 +133,56 @@ fn positions_that_are_grossly_wrong_are_left_out() {
         }
     }
 }
+
+/// Heights above the ellipsoid beside GCPs above the geoid: what all positions are off together bends no block, and is
+/// said; positions that are right, one that is wrong and GCPs that are say no such thing.
+#[test]
+fn positions_of_another_datum_than_the_gcps_are_told() {
+    let mut draw = Draw::new(84);
+    let (truth, points) = block(&mut draw, 6, 250, 10);
+    let (mut start, mut points) = (truth.clone(), points);
+    noisy(&mut draw, &mut start, &mut points, 0.3, 0.3);
+    let start = shaken(&mut draw, &start);
+    let misses: Vec<Vector3<f64>> = (0..6).map(|_| draw.vector(2.0)).collect();
+    let found = |offset: Vector3<f64>, wrong: &[(usize, f64)], points: &[GroundPoint]| {
+        let place = |i: usize| {
+            let by =
+                wrong.iter().filter(|(frame, _)| *frame == i).map(|(_, by)| Vector3::repeat(*by)).sum::<Vector3<f64>>();
+            let centre = truth.photographs[i].pose.centre + misses[i] + offset + by;
+            let pose = Pose { centre, ..truth.photographs[i].pose };
+            RoughPose { pose, sigma_m: Vector3::repeat(2.0), sigma_rad: f64::INFINITY }
+        };
+        let rough = (0..6).map(|i| Some(place(i))).collect();
+        adjust(&start, points, &AdjustOptions { rough, ..AdjustOptions::default() }).expect("adjusted")
+    };
+    let worst = |found: &Adjustment| {
+        let off = |(a, b): (&AdjustedCamera, &Photograph)| {
+            let covariance = a.covariance.expect("the datum is fixed");
+            (0..3)
+                .map(|i| (a.pose.centre - b.pose.centre)[i].abs() / covariance[(3 + i, 3 + i)].sqrt())
+                .fold(0.0, f64::max)
+        };
+        found.photographs.iter().zip(&truth.photographs).map(off).fold(0.0, f64::max)
+    };
+    let told = |found: &Adjustment| found.notes.iter().find(|n| n.contains("where the GCPs put the cameras")).cloned();
+    let right = found(Vector3::zeros(), &[], &points);
+    assert!(told(&right).is_none() && worst(&right) < 4.0, "{:?} {}", right.notes, worst(&right));
+    for (offset, wrong, words) in [
+        (Vector3::new(0.0, 0.0, 45.0), &[][..], "m) above where"),
+        (Vector3::new(0.0, 0.0, -45.0), &[(2, 300.0)], "m) below where"),
+        (Vector3::new(20.0, -30.0, 0.0), &[], "m) beside where"),
+    ] {
+        let apart = found(offset, wrong, &points);
+        let note = told(&apart).unwrap_or_default();
+        assert!(note.contains(words), "{offset:?}: {:?}", apart.notes);
+        assert!(worst(&apart) < 4.0 && apart.blunders.is_empty(), "{offset:?}: {} {:?}", worst(&apart), apart.blunders);
+        let named: Vec<usize> =
+            (0..6).filter(|i| apart.notes.iter().any(|n| n.starts_with(&format!("f{i}: its position")))).collect();
+        assert_eq!(named, wrong.iter().map(|(frame, _)| *frame).collect::<Vec<_>>(), "{:?}", apart.notes);
+    }
+    let one = found(Vector3::zeros(), &[(2, 300.0)], &points);
+    assert!(told(&one).is_none(), "{:?}", one.notes);
+    points[4].xyz.z += 40.0;
+    let gcp = found(Vector3::zeros(), &[], &points);
+    assert!(told(&gcp).is_none() && gcp.blunders.iter().all(|b| b.gcp == "G4"), "{:?} {:?}", gcp.notes, gcp.blunders);
+}

@@ -1,9 +1,10 @@
-//! Positions of cameras that place a block alone, tested as GCPs are elsewhere.
+//! Positions of cameras that place a block alone, or lie off it together, tested as GCPs are elsewhere.
 
 use autoref_raster::ranks::upper_median;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 use super::snooping::{LOSS, snooped};
+use super::survey::GroundPoint;
 use crate::bundle::{BundleFrame, Options, Problem, factor, solve};
 use crate::error::Result;
 use crate::read::Reconstruction;
@@ -35,10 +36,23 @@ pub(super) struct Aside {
     sigma: Vector3<f64>,
 }
 
+/// Whether positions are tested one by one: they place the block, or GCPs do and what all are off together is sought.
+pub(super) fn are_tested(problem: &Problem, control: &[&GroundPoint]) -> bool {
+    control.is_empty() || problem.offset.is_some()
+}
+
+/// The middle of what positions are off, axis by axis, from centres that are `scale` times as large.
+pub(super) fn middle_shift(problem: &Problem, scale: f64) -> Option<Vector3<f64>> {
+    let shifts: Vec<Vector3<f64>> =
+        problem.frames.iter().filter_map(|f| Some(f.position?.0 - f.pose.centre * scale)).collect();
+    let middle = |axis: usize| upper_median(&mut shifts.iter().map(|s| s[axis]).collect::<Vec<f64>>());
+    Some(Vector3::new(middle(0)?, middle(1)?, middle(2)?))
+}
+
 /// Positions that cannot be those of the block's frames, by its shape as it is: from where the scale and the shift that
 /// most agree with have them, they lie more than eight times as far as half of the others. Such a position would bend
 /// the block, its focal length first, until no test sees it. They are set aside, and the block goes to where the others
-/// have it; three in ten at most, and of fewer than [`LEAST`] none.
+/// have it, unless GCPs place it; three in ten at most, and of fewer than [`LEAST`] none.
 pub(super) fn set_aside(problem: &mut Problem) -> Vec<Aside> {
     /// Times what half of all miss, or their deviation.
     const GROSS: f64 = 8.0;
@@ -53,21 +67,24 @@ pub(super) fn set_aside(problem: &mut Problem) -> Vec<Aside> {
     let pairs = steps.flat_map(|step| all.iter().zip(&all[step..]));
     let mut scales: Vec<f64> = pairs.map(|(a, b)| (a.2 - b.2).norm() / (a.1 - b.1).norm()).collect();
     scales.retain(|s| s.is_finite());
-    let Some(scale) = upper_median(&mut scales) else { return Vec::new() };
-    let middle = |mut values: Vec<f64>| upper_median(&mut values).expect("there are LEAST positions or more");
-    let shift = Vector3::from_fn(|k, _| middle(all.iter().map(|(_, from, to, _)| to[k] - scale * from[k]).collect()));
+    let places = problem.offset.is_none();
+    let Some(scale) = (if places { upper_median(&mut scales) } else { Some(1.0) }) else { return Vec::new() };
+    let Some(shift) = middle_shift(problem, scale) else { return Vec::new() };
     let miss = |from: &Vector3<f64>, to: &Vector3<f64>| (to - from * scale - shift).norm();
-    let usual = middle(all.iter().map(|(_, from, to, _)| miss(from, to)).collect());
+    let mut misses: Vec<f64> = all.iter().map(|(_, from, to, _)| miss(from, to)).collect();
+    let usual = upper_median(&mut misses).expect("there are LEAST positions or more");
     let gross = all.iter().filter(|(_, from, to, sigma)| miss(from, to) > GROSS * usual.max(sigma.norm()));
     let aside: Vec<Aside> = gross.map(|(i, _, at, sigma)| Aside { frame: *i, at: *at, sigma: *sigma }).collect();
     if aside.is_empty() || aside.len() as f64 > MOST_GROSS * all.len() as f64 {
         return Vec::new();
     }
-    for frame in &mut problem.frames {
-        frame.pose.centre = frame.pose.centre * scale + shift;
-    }
-    for point in problem.points.iter_mut().filter(|p| p.survey.is_none()) {
-        point.xyz = point.xyz * scale + shift;
+    if places {
+        for frame in &mut problem.frames {
+            frame.pose.centre = frame.pose.centre * scale + shift;
+        }
+        for point in problem.points.iter_mut().filter(|p| p.survey.is_none()) {
+            point.xyz = point.xyz * scale + shift;
+        }
     }
     aside.iter().for_each(|one| problem.frames[one.frame].position = None);
     aside
@@ -90,10 +107,8 @@ pub(super) fn snoop(problem: &mut Problem, world: &Reconstruction, aside: Vec<As
         solve(problem, &solving)?;
         let factored = factor(problem, LOSS);
         for Aside { frame, at, sigma } in aside {
-            let off = at - problem.frames[frame].pose.centre;
-            let variance = factored
-                .as_ref()
-                .map_or_else(Vector3::zeros, |f| f.frame(frame).diagonal().fixed_rows::<3>(3).into_owned());
+            let off = at - problem.offset.unwrap_or_default() - problem.frames[frame].pose.centre;
+            let variance = factored.as_ref().map_or_else(Vector3::zeros, |f| f.position(frame).diagonal());
             let test = off.component_div(&(variance + sigma.component_mul(&sigma)).map(f64::sqrt)).norm();
             if test > FAR {
                 gross.push(Wrong { frame, at, sigma, test });
@@ -120,7 +135,7 @@ pub(super) fn snoop(problem: &mut Problem, world: &Reconstruction, aside: Vec<As
     }
     out.splice(..0, gross);
     let said = out.iter().map(|wrong| {
-        let by = wrong.at - problem.frames[wrong.frame].pose.centre;
+        let by = wrong.at - problem.offset.unwrap_or_default() - problem.frames[wrong.frame].pose.centre;
         format!(
             "{}: its position in the table is {:.1} m off ({:.0} standard deviations by what the others say): left out",
             world.photographs[wrong.frame].name,
@@ -133,10 +148,8 @@ pub(super) fn snoop(problem: &mut Problem, world: &Reconstruction, aside: Vec<As
 
 /// The position that is farthest from where the others have it, where that is no chance.
 fn worst(problem: &Problem) -> Option<Wrong> {
-    let off =
-        |(at, sigma): &(Vector3<f64>, Vector3<f64>), centre: &Vector3<f64>| (at - centre).component_div(sigma).norm();
     let mut suspects: Vec<(f64, usize)> = (0..problem.frames.len())
-        .filter_map(|i| Some((off(problem.frames[i].position.as_ref()?, &problem.frames[i].pose.centre), i)))
+        .filter_map(|i| Some((problem.position_off(i)?.norm(), i)))
         .filter(|(off, _)| *off > FAR / 2.0)
         .collect();
     suspects.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -147,8 +160,7 @@ fn worst(problem: &Problem) -> Option<Wrong> {
     let factored = factor(problem, LOSS)?;
     let test = |frame: usize| {
         let (at, sigma) = problem.frames[frame].position?;
-        let adjusted: Matrix3<f64> = factored.frame(frame).fixed_view::<3, 3>(3, 3).into_owned();
-        let (_, test) = snooped(at - problem.frames[frame].pose.centre, sigma, adjusted)?;
+        let (_, test) = snooped(problem.position_misses(frame)?, sigma, factored.position(frame))?;
         Some(Wrong { frame, at, sigma, test })
     };
     let tested = suspects.into_iter().filter_map(|(_, frame)| test(frame)).filter(|wrong| wrong.test > FAR);

@@ -272,9 +272,9 @@ pub(super) fn contradictions(
             ));
         }
     }
-    for (frame, photograph) in problem.frames.iter().zip(&world.photographs) {
-        let Some((at, sigma)) = frame.position else { continue };
-        let off = (frame.pose.centre - at).component_div(&sigma).amax();
+    for (index, photograph) in world.photographs.iter().enumerate() {
+        let Some(off) = problem.position_off(index) else { continue };
+        let off = off.amax();
         if off > FAR {
             notes.push(format!(
                 "{}: {off:.0} standard deviations from its rough position: the table is wrong, or the block is",

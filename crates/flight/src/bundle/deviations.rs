@@ -16,7 +16,7 @@
 //! would go counts as one more deviation (the difference of two estimators, on which J. A. Hausman's test is built:
 //! *Specification tests in econometrics*, 1978).
 
-use nalgebra::{DVector, Matrix3, SMatrix, SVector};
+use nalgebra::{DVector, Matrix3, SMatrix, SVector, Vector3};
 
 use super::linear::{Curvature, linear};
 use super::normal::{Factored, Reduced};
@@ -135,6 +135,21 @@ impl Deviations {
         let alone = SMatrix::from_fn(|r, c| columns[c][at + r]);
         let bent = self.other_lens.as_ref().map_or_else(SVector::zeros, |other| other.frame(frame));
         widened(alone, |i| self.variance(&columns[i]), bent)
+    }
+
+    /// Covariance of what all positions are off together, where that is adjusted.
+    pub fn offset(&self) -> Option<Matrix3<f64>> {
+        let at = self.factored.layout.offset_at?;
+        let columns = self.factored.columns(at, 3);
+        let alone = Matrix3::from_fn(|r, c| columns[c][at + r]);
+        let bent = self.other_lens.as_ref().map_or_else(SVector::zeros, OtherLens::offset);
+        Some(widened(alone, |i| self.variance(&columns[i]), bent))
+    }
+
+    /// What all positions, taken as they stand, seem to be off together, metres, and its covariance (N⁻¹ alone);
+    /// `None` where nothing else says so.
+    pub fn offset_of_positions(&self, problem: &Problem) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        self.factored.offset_of_positions(problem)
     }
 
     /// Standard deviations of a camera's active parameters.

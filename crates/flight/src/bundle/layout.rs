@@ -13,6 +13,8 @@ pub(super) struct Layout {
     pub frame_at: Vec<usize>,
     pub interior_at: Vec<usize>,
     pub active: Vec<Vec<Parameter>>,
+    /// What all positions are off together, where that is adjusted.
+    pub offset_at: Option<usize>,
     pub size: usize,
     /// First column of each row that is not zero.
     pub first: Vec<usize>,
@@ -21,7 +23,7 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// Frames first, then what is adjusted of the cameras.
+    /// Frames first, then what is adjusted of the cameras, then the offset of the positions.
     pub fn new(problem: &Problem) -> Self {
         let n = problem.frames.len();
         let mut of_point = vec![Vec::new(); problem.points.len()];
@@ -52,6 +54,8 @@ impl Layout {
             interior_at.push(size);
             size += list.len();
         }
+        let offset_at = problem.offset.map(|_| size);
+        size += if offset_at.is_some() { 3 } else { 0 };
         let mut first = vec![0; size];
         for frame in 0..n {
             let low = neighbours[frame].iter().map(|k| frame_at[*k]).min().unwrap_or(usize::MAX).min(frame_at[frame]);
@@ -59,6 +63,6 @@ impl Layout {
                 first[row] = low;
             }
         }
-        Layout { frame_at, interior_at, active, size, first, of_point }
+        Layout { frame_at, interior_at, active, offset_at, size, first, of_point }
     }
 }

@@ -273,11 +273,16 @@ fn eliminate(
 fn priors(problem: &Problem, layout: &Layout, matrix: &mut Skyline, right: &mut DVector<f64>) {
     for (i, frame) in problem.frames.iter().enumerate() {
         let at = layout.frame_at[i];
-        if let Some((place, sigma)) = &frame.position {
+        if let (Some((_, sigma)), Some(misses)) = (&frame.position, problem.position_misses(i)) {
             for a in 0..3 {
                 let w = 1.0 / (sigma[a] * sigma[a]);
                 matrix.add(at + 3 + a, at + 3 + a, w);
-                right[at + 3 + a] -= w * (frame.pose.centre[a] - place[a]);
+                right[at + 3 + a] += w * misses[a];
+                if let Some(offset_at) = layout.offset_at {
+                    matrix.add(offset_at + a, offset_at + a, w);
+                    matrix.add(offset_at + a, at + 3 + a, w);
+                    right[offset_at + a] += w * misses[a];
+                }
             }
         }
         if let Some((rotation, sigma)) = &frame.direction {
@@ -324,6 +329,46 @@ impl Factored {
         let at = self.layout.frame_at[frame];
         let columns = self.columns(at, 6);
         SMatrix::from_fn(|r, c| columns[c][at + r])
+    }
+
+    /// Covariance of where a frame's position in the table is expected: its centre, and what all are off together.
+    pub(crate) fn position(&self, frame: usize) -> Matrix3<f64> {
+        let at = self.layout.frame_at[frame] + 3;
+        let column = |a: usize| {
+            let mut column = DVector::zeros(self.layout.size);
+            column[at + a] = 1.0;
+            if let Some(offset_at) = self.layout.offset_at {
+                column[offset_at + a] = 1.0;
+            }
+            column
+        };
+        let solved: [DVector<f64>; 3] = std::array::from_fn(|a| self.solved(column(a)));
+        Matrix3::from_fn(|r, c| column(r).dot(&solved[c]))
+    }
+
+    /// What all positions, taken as they stand, are off together by what everything else says, metres, and its
+    /// covariance: one step of the adjustment that seeks it too. `None` where nothing else says so.
+    pub(super) fn offset_of_positions(&self, problem: &Problem) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        /// Share of the positions' weight that something else must hold up to.
+        const LEAST: f64 = 1e-9;
+        let mut pulls: [DVector<f64>; 3] = std::array::from_fn(|_| DVector::zeros(self.layout.size));
+        let (mut weights, mut slope) = (Vector3::zeros(), Vector3::zeros());
+        for (i, frame) in problem.frames.iter().enumerate() {
+            let (Some((_, sigma)), Some(misses)) = (&frame.position, problem.position_misses(i)) else { continue };
+            for a in 0..3 {
+                let w = 1.0 / (sigma[a] * sigma[a]);
+                weights[a] += w;
+                slope[a] += w * misses[a];
+                pulls[a][self.layout.frame_at[i] + 3 + a] = w;
+            }
+        }
+        let solved = pulls.clone().map(|pull| self.solved(pull));
+        let left = Matrix3::from_diagonal(&weights) - Matrix3::from_fn(|r, c| pulls[r].dot(&solved[c]));
+        if left.symmetric_eigenvalues().min() <= LEAST * weights.max() {
+            return None;
+        }
+        let covariance = left.try_inverse()?;
+        Some((covariance * slope, covariance))
     }
 
     /// Standard deviations of a camera's active parameters.

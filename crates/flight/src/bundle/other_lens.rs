@@ -71,6 +71,12 @@ impl OtherLens {
         at.map_or(0.0, |at| self.step.reduced[self.layout.interior_at[camera] + at])
     }
 
+    /// Of what all positions are off together; 0 where that is not adjusted.
+    pub fn offset(&self) -> Vector3<f64> {
+        let of = |at: usize| self.step.reduced.fixed_rows::<3>(at).into_owned();
+        self.layout.offset_at.map_or_else(Vector3::zeros, of)
+    }
+
     /// Of a point, in the world's units.
     pub fn point(&self, point: usize) -> Vector3<f64> {
         self.step.points[point]

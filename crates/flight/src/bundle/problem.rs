@@ -120,6 +120,9 @@ pub struct Problem {
     pub frames: Vec<BundleFrame>,
     pub points: Vec<BundlePoint>,
     pub observations: Vec<Observation>,
+    /// What all known positions are off together, metres, adjusted as well: they may count in another datum than the
+    /// GCPs. `None`: they are taken as they stand.
+    pub offset: Option<Vector3<f64>>,
 }
 
 /// What an observation behind its camera costs, in σ: it pulls nowhere, but leaving the image to the back does not pay.
@@ -134,6 +137,18 @@ impl Problem {
         Some([at[0] - o.pixel[0], at[1] - o.pixel[1]])
     }
 
+    /// Known position − centre of a frame, metres, without what all positions are off together.
+    pub(crate) fn position_misses(&self, frame: usize) -> Option<Vector3<f64>> {
+        let frame = &self.frames[frame];
+        frame.position.map(|(at, _)| at - self.offset.unwrap_or_default() - frame.pose.centre)
+    }
+
+    /// The same in standard deviations.
+    pub(crate) fn position_off(&self, frame: usize) -> Option<Vector3<f64>> {
+        let (_, sigma) = self.frames[frame].position?;
+        Some(self.position_misses(frame)?.component_div(&sigma))
+    }
+
     /// Share of what points leave of their measurements that the unknowns of frames and cameras leave as well: by so
     /// much less than errors do residuals vary, in the mean. At least a tenth.
     pub(crate) fn share_left(&self) -> f64 {
@@ -143,7 +158,8 @@ impl Problem {
         let measured = 2 * self.observations.len() + 3 * (surveyed + positions + directions);
         let spare = measured.saturating_sub(3 * self.points.len()).max(1) as f64;
         let interior: usize = self.cameras.iter().map(|c| c.active().len()).sum();
-        ((spare - (6 * self.frames.len() + interior) as f64) / spare).max(0.1)
+        let offset = if self.offset.is_some() { 3 } else { 0 };
+        ((spare - (6 * self.frames.len() + interior + offset) as f64) / spare).max(0.1)
     }
 
     /// The cost that is minimised.
@@ -158,10 +174,8 @@ impl Problem {
                 Trust::Full => s,
             };
         }
-        for frame in &self.frames {
-            if let Some((at, sigma)) = &frame.position {
-                sum += (frame.pose.centre - at).component_div(sigma).norm_squared();
-            }
+        for (i, frame) in self.frames.iter().enumerate() {
+            sum += self.position_off(i).map_or(0.0, |off| off.norm_squared());
             if let Some((rotation, sigma)) = &frame.direction {
                 sum += turn(&frame.pose.rotation, rotation).norm_squared() / (sigma * sigma);
             }

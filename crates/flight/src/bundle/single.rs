@@ -25,7 +25,11 @@ pub(super) fn is_single(problem: &Problem) -> bool {
     let [camera] = problem.cameras.as_slice() else { return false };
     let [frame] = problem.frames.as_slice() else { return false };
     let active = camera.active().len();
-    one_each && frame.direction.is_none() && active <= 1 && camera.treatment.iter().filter(free).count() == active
+    one_each
+        && problem.offset.is_none()
+        && frame.direction.is_none()
+        && active <= 1
+        && camera.treatment.iter().filter(free).count() == active
 }
 
 /// One point after elimination.

@@ -29,12 +29,13 @@ struct Unknowns {
     frames: Vec<BundleFrame>,
     cameras: Vec<BundleCamera>,
     points: Vec<BundlePoint>,
+    offset: Option<Vector3<f64>>,
 }
 
 impl Unknowns {
     fn of(problem: &Problem) -> Self {
-        let Problem { frames, cameras, points, .. } = problem;
-        Unknowns { frames: frames.clone(), cameras: cameras.clone(), points: points.clone() }
+        let Problem { frames, cameras, points, offset, .. } = problem;
+        Unknowns { frames: frames.clone(), cameras: cameras.clone(), points: points.clone(), offset: *offset }
     }
 
     /// Changes places with those of the problem, whose observations stay.
@@ -42,6 +43,7 @@ impl Unknowns {
         std::mem::swap(&mut self.frames, &mut problem.frames);
         std::mem::swap(&mut self.cameras, &mut problem.cameras);
         std::mem::swap(&mut self.points, &mut problem.points);
+        std::mem::swap(&mut self.offset, &mut problem.offset);
     }
 }
 
@@ -123,6 +125,7 @@ fn moved(problem: &Problem, layout: &Layout, step: &Step, reach: f64, common: &C
     for ((point, step), next) in problem.points.iter().zip(&step.points).zip(&mut to.points) {
         next.xyz = common.apply(&point.xyz, &(step * reach));
     }
+    to.offset = problem.offset.zip(layout.offset_at).map(|(offset, at)| offset + part(step, at) * reach);
 }
 
 /// The similarity that comes nearest to a step of all places.

@@ -51,6 +51,7 @@ fn problem(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions,
             .enumerate()
             .map(|(i, s)| Observation { frame: 0, point: i, pixel: s.pixel, sigma_px: options.sigma_px, trust })
             .collect(),
+        offset: None,
     }
 }
 

@@ -62,7 +62,8 @@ pub struct AdjustArgs {
 /// What a pose's rays are taken to be worth where no ties were measured, pixels.
 const SIGMA_OF_POSES_PX: f64 = 1.0;
 const NO_TIES: &str = "the reconstruction holds no ties: its poses say how its frames lie to each other, as if ties were \
-                       good to --sigma-tie (1 px), and its interior orientation is held";
+                       good to --sigma-tie (1 px); its interior orientation is held, and standard deviations take it \
+                       for exact: where there is a reconstruction with ties, adjust that one";
 
 const NOTHING_COMMON: &str = "the reconstruction holds no ties, and its frames stand at one place or see nothing in common: \
                               each is placed by its own points";
