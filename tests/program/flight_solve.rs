@@ -278,12 +278,13 @@ fn pycolmap_is_asked_what_colmap_is() {
     expect(&solve("broken", "pycolmap", &broken), 2, &["pycolmap's feature_extractor", "exit status: 3", ".log"]);
 }
 
-/// A project whose GCPs are as good as they are drawn, with few features.
+/// A project whose GCPs are as good as they are drawn, with few features and pairs.
 fn sharpened(project: &str) -> String {
     project
         .replace("sigma_ground_m = 25.0", "sigma_ground_m = 0.1")
         .replace("sigma_image_px = 5.0", "sigma_image_px = 0.5")
         .replace("features = 6000", "features = 1500")
+        .replace("neighbours = 3", "neighbours = 2")
 }
 
 fn without_table(project: &str) -> String {
