@@ -367,7 +367,7 @@ fn a_roll_is_examined_resumed_and_never_stopped_by_a_bad_frame() {
         program()
             .arg("synth-film")
             .arg(&scans)
-            .args(["--camera", camera, "--pixel-um", "80", "--tiles", "256"])
+            .args(["--camera", camera, "--pixel-um", "100", "--tiles", "256"])
             .args(extra)
             .assert()
             .success();

@@ -213,7 +213,7 @@ fn grey(path: &Path, side: usize, bands: usize, options: &[&str], value: impl Fn
 fn scans_of_every_kind_and_quality_are_one_line_each() {
     let folder = tempfile::tempdir().expect("a folder");
     let (scans, out) = (folder.path().join("scans"), folder.path().join("out"));
-    draw(&scans, "wild-15-4", &["--pixel-um", "80", "--tiles", "256"]);
+    draw(&scans, "wild-15-4", &["--pixel-um", "100", "--tiles", "256"]);
     let good = scans.join("wild-15-4-1.tif");
     let at = |name: &str| scans.join(name);
     copy_as(&good, &at("jpeg.jpg"), "JPEG", &["QUALITY=90"]);
@@ -235,8 +235,8 @@ fn scans_of_every_kind_and_quality_are_one_line_each() {
         wide.rasterband(1).expect("there").write((0, 0), (width, height), &mut words).expect("written");
         wide.close().expect("written");
     }
-    grey(&at("black.tif"), 1500, 1, &[], |_, _| 0);
-    grey(&at("white.tif"), 1500, 1, &[], |_, _| 255);
+    grey(&at("black.tif"), 1000, 1, &[], |_, _| 0);
+    grey(&at("white.tif"), 1000, 1, &[], |_, _| 255);
     grey(&at("tiny.tif"), 3, 1, &[], |_, _| 90);
     let bytes = std::fs::read(&good).expect("readable");
     std::fs::write(at("truncated.tif"), &bytes[..bytes.len() / 3]).expect("writable");
