@@ -272,7 +272,7 @@ fn marks_far_off_their_places_keep_the_whole_pattern() {
 #[test]
 fn e6_with_the_scale_known_within_a_factor_of_two() {
     let Some(gcps) = crate::common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };
-    let count = crate::common::trials(3, 1000);
+    let count = crate::common::trials(2, 1000);
     let score = trials(&kind(6, 1000, 180.0), &priors((0.015, 0.06)), &gcps, count, 3);
     assert_eq!(score.wrong, 0);
     assert!(score.right * 10 >= count * 9, "{score:?}");

@@ -352,7 +352,7 @@ fn bad_clouds_are_refused_in_one_line() {
     done(&["clean", &far, "-o", &fine, "--z", "84,84.9", "--drop", "noise", "--json"]);
     let head = std::fs::read(&fine).expect("readable");
     assert!(f64::from_le_bytes(head[131..139].try_into().expect("eight bytes")) <= 1e-4);
-    for seed in 0..40usize {
+    for seed in 0..crate::common::trials(14, 40) {
         let mut broken = packed.clone();
         for k in 0..3 {
             let at = (seed * 7919 + k * 104_729) % broken.len();

@@ -261,7 +261,7 @@ fn bytes(list: &[Candidate]) -> Vec<u8> {
 #[test]
 fn no_tiling_changes_a_tag() {
     let family = FAMILIES[2];
-    let (picture, truth) = plant_tags(&stripes(700, 560), family, 4.0, &mut Random(3));
+    let (picture, truth) = plant_tags(&stripes(440, 370), family, 4.0, &mut Random(3));
     let source = memory(&picture);
     let mut profile = builtin(family.0);
     // Cells of 100 px: many of them.

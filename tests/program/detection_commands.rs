@@ -40,8 +40,8 @@ impl Sample {
     fn new(change: impl FnOnce(&mut SynthSpec)) -> Sample {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let mut spec = SynthSpec {
-            gcps: synth::random_gcps(12, 36.0, 27.0, 4),
-            size_px: Some((1300, 1000)),
+            gcps: synth::random_gcps(12, 22.0, 17.0, 4),
+            size_px: Some((800, 620)),
             rotation_deg: 9.0,
             clutter: 12,
             mark: MarkStyle {
@@ -185,8 +185,8 @@ fn an_image_in_degrees_or_feet_places_the_list() {
         from.transform(&mut point, &to, 5.0).expect("one datum");
         (point[0].x, point[0].y)
     };
-    let (o, r, d) = (corner(0.0, 0.0), corner(1300.0, 0.0), corner(0.0, 1000.0));
-    let degrees = [o.0, (r.0 - o.0) / 1300.0, (d.0 - o.0) / 1000.0, o.1, (r.1 - o.1) / 1300.0, (d.1 - o.1) / 1000.0];
+    let (o, r, d) = (corner(0.0, 0.0), corner(800.0, 0.0), corner(0.0, 620.0));
+    let degrees = [o.0, (r.0 - o.0) / 800.0, (d.0 - o.0) / 620.0, o.1, (r.1 - o.1) / 800.0, (d.1 - o.1) / 620.0];
     sample.place(degrees, Some("EPSG:4326"));
     assert_eq!(sample.sample("points.geojson", &[])["profile"]["learned"]["marks"], visible);
     let feet = sample.truth.geotransform.0.map(|metres| metres / (1200.0 / 3937.0));
@@ -207,7 +207,7 @@ fn points_outside_hidden_or_of_another_colour_are_named() {
             let map = autoref_raster::coords::MapPoint { easting: g.easting, northing: g.northing };
             (g.name.as_str(), plan.truth.geotransform.invert(map).expect("a rotation"))
         })
-        .find(|(_, at)| (50.0..1250.0).contains(&at.x) && (50.0..950.0).contains(&at.y));
+        .find(|(_, at)| (50.0..750.0).contains(&at.x) && (50.0..570.0).contains(&at.y));
     let (covered, at) = covered.expect("one of three lies well inside");
     let sample = Sample::new(|spec| {
         nine(spec);
@@ -340,7 +340,7 @@ fn sixteen_bit_copies_give_the_candidates_of_the_original() {
         assert_eq!(autoref(&args).status.code(), Some(0));
         let band = gdal::Dataset::open(&out).expect("written");
         let band = band.rasterband(1).expect("one band");
-        let values = band.read_as::<f32>((0, 0), (1300, 1000), (1300, 1000), None).expect("readable");
+        let values = band.read_as::<f32>((0, 0), (800, 620), (800, 620), None).expect("readable");
         values.data().iter().filter(|v| **v <= 1.0).count()
     };
     assert!(distances(&["--white", "4080"], "right.tif") > 500);
@@ -429,7 +429,7 @@ fn outlines_and_tables_teach_like_a_finger() {
     sample.place(sample.truth.geotransform.0, Some("EPSG:32632"));
     let image = sample.path("image.tif");
     let marks: Vec<_> = sample.truth.visible().collect();
-    let (width, height) = (1300usize, 1000usize);
+    let (width, height) = (800usize, 620usize);
     // The inner 7 x 7 pixels of each mark.
     let inner = |x: f64, y: f64| {
         let (x, y) = (x as usize, y as usize);
@@ -523,7 +523,7 @@ fn refused_outlines(sample: &Sample, image: &Path) {
     let away = r#"{"type":"Feature","properties":{},"geometry":{"type":"Polygon","coordinates":[[[0,70],[1,70],[1,71],[0,70]]]}}"#;
     let points = r#"{"type":"Feature","properties":{},"geometry":{"type":"Point","coordinates":[5,5]}}"#;
     let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("GDAL has it");
-    for (name, side) in [("small.tif", (10, 10)), ("empty.tif", (1300, 1000))] {
+    for (name, side) in [("small.tif", (10, 10)), ("empty.tif", (800, 620))] {
         let made = driver.create_with_band_type::<u8, _>(sample.path(name), side.0, side.1, 1).expect("writable");
         made.close().expect("written");
     }

@@ -131,7 +131,8 @@ fn trial(camera: &str, pixel_um: f64, frames: u64, how: &FindOptions) -> Tally {
     let all: Vec<Tally> = (0..frames)
         .into_par_iter()
         .map(|k| {
-            let seed = first_seed() + k;
+            // The few frames of `make test` lie as differently as the many.
+            let seed = first_seed() + k * if large() { 1 } else { 2 };
             let mut spec = FilmSpec::archive(&camera, pixel_um, seed);
             spec.quarters = (seed / 3 % 4) as u8;
             spec.mirrored = (seed % 5 == 4).into();
@@ -165,26 +166,28 @@ fn trial(camera: &str, pixel_um: f64, frames: u64, how: &FindOptions) -> Tally {
 
 #[test]
 fn svalbard_marks_are_found_and_no_gross_error_is_passed() {
-    let (pixel_um, frames) = if large() { (20.0, 1_320) } else { (27.0, 10) };
+    let (pixel_um, frames) = if large() { (20.0, 1_320) } else { (27.0, 6) };
     let t = trial("svalbard-zeiss-1936", pixel_um, frames, &FindOptions::default());
     assert_eq!(t.unflagged, 0);
     assert!(t.share() >= 0.999 || t.marks - t.within_2px <= usize::from(!large()), "{t:?}");
     assert!(t.rmse_px() <= 0.3, "{t:?}");
 }
 
-/// The finder of the 2017 thesis beside the default one, on the same frames; once more without the agreement between
-/// marks, which the thesis does not ask for.
+/// The finder of the 2017 thesis beside the default one, on the same frames; with AUTOREF_LARGE=1 once more without the
+/// agreement between marks, which the thesis does not ask for.
 #[test]
 fn the_finder_of_2017_finds_most_marks_and_the_default_more() {
-    let (pixel_um, frames) = if large() { (20.0, 300) } else { (27.0, 8) };
+    let (pixel_um, frames) = if large() { (20.0, 300) } else { (27.0, 4) };
     let of = |method: Method, agreement_px: f64| {
         let how = FindOptions { method, agreement_px, ..FindOptions::default() };
         trial("svalbard-zeiss-1936", pixel_um, frames, &how)
     };
     let usual = FindOptions::default().agreement_px;
     let (old, new) = (of(Method::Thesis2017, usual), of(Method::Correlation, usual));
-    let alone = of(Method::Thesis2017, f64::MAX);
-    println!("by its own tests the finder of 2017 lets {} errors over 5 px pass", alone.unflagged);
+    if large() {
+        let alone = of(Method::Thesis2017, f64::MAX);
+        println!("by its own tests the finder of 2017 lets {} errors over 5 px pass", alone.unflagged);
+    }
     for (t, name) in [(old, "2017"), (new, "default")] {
         println!("{name}: {:.3} s a frame, drawing included", t.seconds / t.frames as f64);
     }
@@ -195,7 +198,7 @@ fn the_finder_of_2017_finds_most_marks_and_the_default_more() {
 /// The other kinds. Drawn pictures and the finder's own drawing of a mark share no lattice: of marks without an image
 /// in them nothing but grain is left. How their frames are turned is given, since their positions are symmetric.
 fn other_kind(camera: &str, pixel_um: f64, mark_count: u64, most_rmse_px: f64) {
-    let frames = if large() { 1_000 / mark_count + 25 } else { 4 };
+    let frames = if large() { 1_000 / mark_count + 25 } else { 3 };
     let t = trial(camera, pixel_um, frames, &FindOptions::default());
     assert_eq!(t.unflagged, 0, "{camera}");
     assert!(t.share() >= 0.995, "{camera}: {t:?}");
@@ -364,7 +367,7 @@ fn a_roll_is_examined_resumed_and_never_stopped_by_a_bad_frame() {
         program()
             .arg("synth-film")
             .arg(&scans)
-            .args(["--camera", camera, "--pixel-um", "80", "--tiles", "256"])
+            .args(["--camera", camera, "--pixel-um", "100", "--tiles", "256"])
             .args(extra)
             .assert()
             .success();

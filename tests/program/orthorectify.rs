@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::flight::{F_PX, Place, SIDE, autoref, brightness, expect, ground, json, text};
+use super::flight::{F_PX, Place, SIDE, autoref, brightness, expect, ground, json, text, write_png};
 use crate::common::data;
 use autoref_raster::crs::{Coordinate, Crs};
 use gdal::Metadata as _;
@@ -65,7 +65,7 @@ pub(super) fn correlation(pairs: &[(f64, f64)]) -> f64 {
 #[test]
 fn an_orthophoto_shows_the_ground_and_hides_what_the_frame_does_not_see() {
     let place = Place::new();
-    place.flight.render(&place.at("frames"));
+    place.flight.render(&place.at("frames"), &[2]);
     place.flight.write_model(&place.at("model"));
     let (frame, dem, cameras) = (place.at("frames").join("f2.png"), place.at("dem.tif"), place.at("cameras.json"));
     // A tower that the frame does not show stands in the model: it covers itself and its shadow, the rest stays as it
@@ -204,7 +204,7 @@ fn orthophotos_of_neighbours_agree() {
         }
         let found = correlation(&pairs);
         eprintln!("{name}: correlation {found:.4} of {} pixels of {cell}", pairs.len());
-        assert!(found > 0.75 && pairs.len() > 10_000, "{name}: {found:.3} of {}", pairs.len());
+        assert!(found > 0.75 && pairs.len() > 2_500, "{name}: {found:.3} of {}", pairs.len());
     };
     let table = frames.join("ngi/camera_pos_ori.txt");
     let ngi = ["3324c_2015_1004_05_0182_RGB.tif", "3324c_2015_1004_05_0184_RGB.tif"];
@@ -214,7 +214,7 @@ fn orthophotos_of_neighbours_agree() {
         "odm",
         ["100_0005_0018.tif", "100_0005_0136.tif"],
         "dsm.tif",
-        &["--cameras", text(&table), "--camera", text(&camera), "--gsd", "0.6"],
+        &["--cameras", text(&table), "--camera", text(&camera), "--gsd", "1.6"],
     );
 }
 
@@ -230,8 +230,9 @@ fn put_in(path: &Path, epsg: u32) {
 #[test]
 fn a_map_that_stretches_the_ground_loses_none_of_it() {
     let place = Place::new();
-    place.flight.render(&place.at("frames"));
-    let frame = place.at("frames").join("f2.png");
+    // What the frame shows does not matter, nor how finely.
+    let frame = place.at("f2.png");
+    write_png(&frame, 200, &[100; 200 * 200]);
     // On the zone's meridian, where north of both maps is one.
     let mut at = [[500_000.0, 6_985_000.0], [500_000.0, 6_986_000.0]].map(|[x, y]| Coordinate { x, y, height: None });
     let utm = at;
@@ -248,7 +249,7 @@ fn a_map_that_stretches_the_ground_loses_none_of_it() {
             let row = format!("name,x,y,z,yaw,pitch,roll\nf2.png,{},{},1100,20,{pitch},0\n", eye.x, eye.y);
             let table = place.write(&format!("{epsg}.csv"), &row);
             let words = ["flight", "orthorectify", text(&frame), "--dem", text(&dem), "--cameras", text(&table)];
-            let output = autoref(&[&words[..], &["--f-px", "500", "-o", text(&out), "--json"]].concat(), None, &[]);
+            let output = autoref(&[&words[..], &["--f-px", "208.3", "-o", text(&out), "--json"]].concat(), None, &[]);
             expect(&output, 0, &[]);
             let number = |key: &str| json(&output)[key].as_f64().expect("a number");
             let gsd = number("gsd") / scale;
@@ -264,7 +265,7 @@ fn a_map_that_stretches_the_ground_loses_none_of_it() {
 #[test]
 fn the_interior_of_the_options_is_that_of_the_frame() {
     let place = Place::new();
-    place.flight.render(&place.at("frames"));
+    place.flight.render(&place.at("frames"), &[2]);
     let (frame, dem) = (place.at("frames").join("f2.png"), place.at("dem.tif"));
     write_dem(&dem, (400, 250), [800.0, 2250.0], 2.0, ground);
     let pose = place.flight.model.photographs[2].pose;

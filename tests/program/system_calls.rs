@@ -99,9 +99,14 @@ fn an_input_that_cannot_be_read_to_its_end_is_named() {
     let place = everything();
     let (dir, out, scratch) = (&place.at(""), place.at("o"), place.at("tmp"));
     let (mut count, mut reached, mut bad) = (0, 0, Vec::new());
-    for (case, clean) in asked(dir, 2) {
+    for (at, (case, clean)) in asked(dir, 2).enumerate() {
         let inputs = contents(dir, &["o", "tmp", "k"]);
-        for (input, reading) in case.inputs.iter().flat_map(|input| READINGS.map(|reading| (input, reading))) {
+        let all = case.inputs.iter().enumerate().flat_map(|input| READINGS.iter().enumerate().map(move |r| (input, r)));
+        for ((number, input), (turn, reading)) in all {
+            // Bad sectors and an early end, each sooner or later in turn.
+            if !large() && (at + number + turn) % 2 == 1 {
+                continue;
+            }
             empty(&out);
             let fault = format!("inject=read,pread64,readv,preadv:{reading}");
             let ran = run_with(dir, case, &["-P", input, "-e", &fault]);

@@ -443,7 +443,7 @@ fn degrees_are_metres_on_the_ground() {
 fn stated_errors_are_the_real_ones() {
     let terrain = Terrain::new(9);
     let trials = if std::env::var_os("AUTOREF_LARGE").is_some() { 400 } else { 40 };
-    let small = View { width: 128, height: 128, noise_m: 1.5, ..PLAIN };
+    let small = View { width: 96, height: 96, noise_m: 1.5, ..PLAIN };
     let mut squares = [0.0; 3];
     for trial in 0..trials {
         let mut dice = SplitMix64(1000 + trial);
@@ -468,7 +468,7 @@ fn stated_errors_are_the_real_ones() {
 fn stated_errors_of_a_bend_are_the_real_ones() {
     let terrain = Terrain::new(12);
     let trials = if std::env::var_os("AUTOREF_LARGE").is_some() { 400 } else { 30 };
-    let small = View { width: 128, height: 128, noise_m: 1.5, ..PLAIN };
+    let small = View { width: 96, height: 96, noise_m: 1.5, ..PLAIN };
     let mut squares = [0.0; 3];
     for trial in 0..trials {
         let mut dice = SplitMix64(5000 + trial);

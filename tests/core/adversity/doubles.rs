@@ -20,7 +20,7 @@ fn doubled(random: &mut Random, listed: &[MapPoint], by: f64, same_way: bool) ->
 fn points_listed_twice() {
     for (by, allowed_px) in [(0.01, 5.0), (0.03, 5.0), (0.1, 6.0), (0.3, 5.0), (0.5, 5.0)] {
         for same_way in [false, true] {
-            let score = run(&format!("all twice, {by} m, same way {same_way}"), 1, 6, |random| {
+            let score = run(&format!("all twice, {by} m, same way {same_way}"), 1, 3, |random| {
                 let (marked, unmarked) = (6 + random.below(4), random.below(6));
                 let usual = usual(random, marked, unmarked, 40);
                 let gcps = doubled(random, &usual.listed, by, same_way);
@@ -33,7 +33,7 @@ fn points_listed_twice() {
             assert!(either || score.right * 20 >= 19 * score.trials, "{score:?}");
         }
         // Nothing of them in the image, and clutter in twos.
-        let score = run(&format!("all twice, {by} m, nothing there"), 2, 6, |random| {
+        let score = run(&format!("all twice, {by} m, nothing there"), 2, 3, |random| {
             let n = 5 + random.below(10);
             let usual = usual(random, n, 0, 60);
             let gcps = doubled(random, &usual.listed, by, true);

@@ -47,7 +47,7 @@ fn measures(all: &[(usize, String, String)], depth: usize) -> (String, Vec<(Stri
 #[test]
 fn files_for_other_programs_read_back_as_their_formats_say() {
     for (camera, pixel_um, name) in
-        [("wild-15-4", "80", "wild-15-4-1"), ("svalbard-zeiss-1936", "50", "svalbard-zeiss-1936-1")]
+        [("wild-15-4", "100", "wild-15-4-1"), ("svalbard-zeiss-1936", "65", "svalbard-zeiss-1936-1")]
     {
         let roll = Roll::new(camera, pixel_um, &["--frames", "2"]);
         roll.fiducials(&["--exports"], 0);

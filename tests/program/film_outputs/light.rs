@@ -10,13 +10,44 @@ use autoref_film::resample::kernel::Kernel;
 use autoref_film::resample::{self, Light, ResampleOptions, lighting};
 use autoref_film::{InteriorModel, InteriorOrientation, load_camera};
 use autoref_raster::coords::{Handedness, PixelPoint};
+use autoref_raster::window::Window;
+use autoref_raster::{Block, Piece, RasterInfo, RasterSource, ReadStats};
+
+/// A frame that is drawn once and read many times, with its orientation.
+struct Kept {
+    info: RasterInfo,
+    pieces: Vec<Piece>,
+    inner: InteriorOrientation,
+}
+
+impl Kept {
+    fn new(spec: &FilmSpec, ground: &FilmGround) -> Kept {
+        let (scene, inner) = scene(spec, ground);
+        let block = scene.read(scene.info().bounds()).expect("in memory");
+        Kept { info: scene.info().clone(), pieces: block.pieces, inner }
+    }
+}
+
+impl RasterSource for Kept {
+    fn info(&self) -> &RasterInfo {
+        &self.info
+    }
+
+    fn read(&self, window: Window) -> autoref_raster::error::Result<Block> {
+        let is_in = |piece: &&Piece| !piece.window.intersect(&window).is_empty();
+        Ok(Block { window, pieces: self.pieces.iter().filter(is_in).cloned().collect() })
+    }
+
+    fn stats(&self) -> ReadStats {
+        ReadStats::default()
+    }
+}
 
 /// A frame of a camera without turn, resampled by the library at the scan's own pixel size; values of white.
-fn resampled(spec: &FilmSpec, ground: &FilmGround, options: &ResampleOptions, light: Light) -> (usize, Vec<f64>) {
-    let (scene, inner) = scene(spec, ground);
+fn resampled(spec: &FilmSpec, frame: &Kept, options: &ResampleOptions, light: Light) -> (usize, Vec<f64>) {
     let folder = tempfile::tempdir().expect("a folder");
     let (image, mask) = (folder.path().join("a.tif"), folder.path().join("b.tif"));
-    resample::resample(&scene, &spec.camera, &inner, options, light, "{}", [&image, &mask]).expect("writable");
+    resample::resample(frame, &spec.camera, &frame.inner, options, light, "{}", [&image, &mask]).expect("writable");
     let (w, _, values) = pixels(&image);
     (w, values.into_iter().map(|v| v / 65_535.0).collect())
 }
@@ -111,12 +142,13 @@ fn vignette(ground: &FilmGround, seed: u64) -> [f64; 5] {
     let (clean, options) = grey16(140.0, seed);
     let mut dim = clean.clone();
     dim.vignette = 0.5;
-    let (w, even) = resampled(&clean, ground, &options, Light::AsScanned);
+    let (w, even) = resampled(&clean, &Kept::new(&clean, ground), &options, Light::AsScanned);
+    let shown = Kept::new(&dim, ground);
     let even = squares(w, &even);
     // What the opaque frame lets through is not light of the image.
     let black = 0.03;
-    let before = spread(&squares(w, &resampled(&dim, ground, &options, Light::AsScanned).1), &even, black);
-    let of_frame = squares(w, &resampled(&dim, ground, &options, Light::OfFrame).1);
+    let before = spread(&squares(w, &resampled(&dim, &shown, &options, Light::AsScanned).1), &even, black);
+    let of_frame = squares(w, &resampled(&dim, &shown, &options, Light::OfFrame).1);
     let cells: Vec<_> = (seed..seed + 6)
         .map(|seed| {
             let mut one = dim.clone();
@@ -126,7 +158,7 @@ fn vignette(ground: &FilmGround, seed: u64) -> [f64; 5] {
         })
         .collect();
     let roll = lighting::of_roll(&cells).expect("six frames");
-    let of_roll = squares(w, &resampled(&dim, ground, &options, Light::OfRoll(&roll)).1);
+    let of_roll = squares(w, &resampled(&dim, &shown, &options, Light::OfRoll(&roll)).1);
     let (frame_after, roll_after) = (spread(&of_frame, &even, black), spread(&of_roll, &even, black));
     // Contrast within squares, relative to their brightness, is that of the even frame.
     let contrast = |s: &[(f64, f64)]| s.iter().map(|(m, d)| d / (m - black)).sum::<f64>() / s.len() as f64;
@@ -157,23 +189,23 @@ fn known_bands_are_removed_and_the_ground_stays() {
 }
 
 /// One frame without bands and with.
-struct Bands<'a> {
-    ground: &'a FilmGround,
+struct Bands {
+    spec: FilmSpec,
     options: ResampleOptions,
-    clean: FilmSpec,
-    banded: FilmSpec,
+    clean: Kept,
+    banded: Kept,
     /// The frame without bands, nothing removed.
     still: Vec<f64>,
 }
 
-impl<'a> Bands<'a> {
-    fn new(ground: &'a FilmGround, seed: u64) -> Bands<'a> {
-        let (mut clean, options) = grey16(100.0, seed);
-        clean.rotation_deg = 0.4;
-        let mut banded = clean.clone();
-        banded.banding = 0.02;
-        let (_, still) = resampled(&clean, ground, &options, Light::AsScanned);
-        Bands { ground, options, clean, banded, still }
+impl Bands {
+    fn new(ground: &FilmGround, seed: u64) -> Bands {
+        let (mut spec, options) = grey16(100.0, seed);
+        spec.rotation_deg = 0.4;
+        let clean = Kept::new(&spec, ground);
+        let banded = Kept::new(&FilmSpec { banding: 0.02, ..spec.clone() }, ground);
+        let (_, still) = resampled(&spec, &clean, &options, Light::AsScanned);
+        Bands { spec, options, clean, banded, still }
     }
 
     /// What is left of the bands when `which` are removed.
@@ -182,9 +214,9 @@ impl<'a> Bands<'a> {
     }
 
     /// Bands are what differs from the frame without them, inside the ground that they are measured on.
-    fn rms(&self, spec: &FilmSpec, banding: Banding) -> f64 {
+    fn rms(&self, frame: &Kept, banding: Banding) -> f64 {
         let options = ResampleOptions { banding, ..self.options.clone() };
-        let (w, values) = resampled(spec, self.ground, &options, Light::AsScanned);
+        let (w, values) = resampled(&self.spec, frame, &options, Light::AsScanned);
         let h = values.len() / w;
         let inside: Vec<usize> = (80..h - 80).flat_map(|y| (80..w - 80).map(move |x| y * w + x)).collect();
         let sum: f64 = inside.iter().map(|&i| (values[i] - self.still[i]).powi(2)).sum();

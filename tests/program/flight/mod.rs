@@ -79,7 +79,8 @@ fn noise(x: f64, y: f64, cell: f64, seed: u64) -> f64 {
 }
 
 pub(super) fn brightness(x: f64, y: f64) -> u8 {
-    let octaves = [(29.0, 30.0), (13.0, 30.0), (5.7, 28.0), (2.9, 24.0)];
+    // Nothing finer than eight pixels: COLMAP describes every feature that it sees, whatever it keeps.
+    let octaves = [(29.0, 30.0), (14.0, 30.0), (9.0, 30.0), (6.0, 24.0)];
     let sum: f64 = octaves.iter().enumerate().map(|(k, (cell, weight))| weight * noise(x, y, *cell, k as u64)).sum();
     (128.0 + sum).clamp(0.0, 255.0) as u8
 }
@@ -144,15 +145,16 @@ impl Flight {
         flight
     }
 
-    pub(super) fn render(&self, folder: &Path) {
+    /// Draws these of the five frames.
+    pub(super) fn render(&self, folder: &Path, frames: &[usize]) {
         std::fs::create_dir_all(folder).expect("a folder");
-        for p in &self.model.photographs {
+        for p in frames.iter().map(|&i| &self.model.photographs[i]) {
             let mut pixels = vec![0u8; SIDE * SIDE];
             for (k, grey) in pixels.iter_mut().enumerate() {
                 let at = meets(&self.model.cameras[0], &p.pose, [(k % SIDE) as f64 + 0.5, (k / SIDE) as f64 + 0.5]);
                 *grey = brightness(at.x, at.y);
             }
-            write_png(&folder.join(&p.name), &pixels);
+            write_png(&folder.join(&p.name), SIDE, &pixels);
         }
     }
 
@@ -228,9 +230,10 @@ pub(super) fn write_program(path: &Path, script: &str) {
     std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).expect("executable");
 }
 
-fn write_png(path: &Path, pixels: &[u8]) {
+/// A square picture in grey.
+pub(super) fn write_png(path: &Path, side: usize, pixels: &[u8]) {
     let file = std::fs::File::create(path).expect("a new file");
-    let mut encoder = png::Encoder::new(std::io::BufWriter::new(file), SIDE as u32, SIDE as u32);
+    let mut encoder = png::Encoder::new(std::io::BufWriter::new(file), side as u32, side as u32);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.write_header().and_then(|mut w| w.write_image_data(pixels)).expect("written");
 }
@@ -345,7 +348,7 @@ impl Place {
     pub(super) fn five_frames(&self) {
         std::fs::create_dir_all(self.at("frames")).expect("a folder");
         for p in &self.flight.model.photographs {
-            write_png(&self.at("frames").join(&p.name), &vec![100; SIDE * SIDE]);
+            write_png(&self.at("frames").join(&p.name), SIDE, &vec![100; SIDE * SIDE]);
         }
     }
 }

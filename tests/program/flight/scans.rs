@@ -67,7 +67,7 @@ fn turned_scans_with_a_polynomial_distortion_are_adjusted_and_mapped() {
     let wanted = Camera { name: back.cameras[0].name.clone(), ..camera };
     assert_eq!((back.cameras.len(), &back.cameras[0]), (1, &wanted), "what was written is what is read");
 
-    place.flight.render(&place.at("frames"));
+    place.flight.render(&place.at("frames"), &[0, 1, 2, 3, 4]);
     write_dem(&dem, (400, 250), [800.0, 2250.0], 2.0, ground);
     let frame = place.at("frames").join("f2.png");
     let map = |cameras: &Path, more: &[&str]| {

@@ -105,7 +105,17 @@ fn parts(line: &str) -> (Vec<String>, Vec<String>) {
     (words.collect(), read)
 }
 
-/// The three names of an input: its own, a hard and a soft link. One of them in turn in `make test`.
+/// A command's name, the option that names an input (or nothing), and the input.
+fn place_of(words: &[String], input: &str) -> [String; 3] {
+    let at = words.iter().position(|word| word.ends_with(input)).expect("one of the words");
+    let has_parts = ["dem", "flight", "cloud", "gcps"].contains(&words[0].as_str());
+    let command = words.iter().take(if has_parts { 2 } else { 1 }).cloned().collect::<Vec<_>>().join(" ");
+    let option = at.checked_sub(1).map(|before| &words[before]).filter(|word| word.starts_with('-'));
+    [command, option.cloned().unwrap_or_default(), input.to_owned()]
+}
+
+/// The three names of an input: its own, a hard and a soft link. In `make test` one of them in turn, and inputs that
+/// another line of the command tries only where a line has no others: one of them in turn.
 #[test]
 fn no_option_that_writes_takes_what_an_option_reads() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -115,9 +125,14 @@ fn no_option_that_writes_takes_what_an_option_reads() {
         std::fs::write(dir.join(&name), format!("{name} is an input")).expect("writable");
     }
     let before = contents(dir);
-    let (all, mut pairs) = (crate::common::large(), 0);
+    let (all, mut pairs, mut tried) = (crate::common::large(), 0, std::collections::BTreeSet::new());
     for (number, line) in LINES.iter().enumerate() {
-        let (words, read) = parts(line);
+        let (words, mut read) = parts(line);
+        let again = read[number % read.len()].clone();
+        read.retain(|input| tried.insert(place_of(&words, input)) || all);
+        if read.is_empty() {
+            read.push(again);
+        }
         for (place, input) in read.iter().enumerate() {
             for way in (0..3).filter(|way| all || *way == (number + place) % 3) {
                 let end = input.rsplit_once('.').map_or("", |(_, end)| end);
@@ -142,7 +157,7 @@ fn no_option_that_writes_takes_what_an_option_reads() {
         }
     }
     println!("{} lines, {pairs} pairs", LINES.len());
-    assert!(pairs >= if all { 550 } else { 180 }, "{pairs} pairs were tried");
+    assert!(pairs >= if all { 550 } else { 120 }, "{pairs} pairs were tried");
 }
 
 /// A new command is tried here, or among the cases that run to their end.

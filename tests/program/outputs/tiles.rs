@@ -51,14 +51,14 @@ fn tiles_with_world_files_are_one_raster() {
     let mut synth = vec!["synth", &whole, "--write-gcps", &list];
     synth.extend(size.iter().chain(&marks));
     succeeded(&autoref(&synth));
-    succeeded(&autoref(&[&whole, "--gcps", &list, "--quiet"]));
+    succeeded(&autoref(&[&whole, "--gcps", &list, "--quiet", "--no-report"]));
     let expected = RunResult::read(&at("e6.autoref.json")).expect("written").geotransform().expect("solved");
     // Local coordinates with another origin and unit.
     let local = GeoTransform([1000.0, 0.5, 0.0, 5000.0, 0.0, -0.5]);
     let tiles = cut(Path::new(&whole), &at("tiles"), 400, &local);
     let before: Vec<Vec<u8>> = tiles.iter().map(|(path, _)| std::fs::read(path).expect("there")).collect();
     let dir = text(at("tiles"));
-    succeeded(&autoref(&[&dir, "--gcps", &list, "--quiet", "--prior", "none"]));
+    succeeded(&autoref(&[&dir, "--gcps", &list, "--quiet", "--no-report", "--prior", "none"]));
     let result = RunResult::read(&at("tiles.autoref.json")).expect("written");
     let image = result.image.as_ref().expect("described");
     assert_eq!((image.width, image.height), (1500, 1100));
@@ -121,7 +121,7 @@ fn forty_tiles_by_xml_are_the_image() {
     assert!(one.iter().filter(|byte| **byte == b'\n').count() > 8);
     assert!(detect(&tiles) == one && detect(&xml) == one, "other candidates by tiles");
     // Solved as one raster, where the XML says that it lies.
-    succeeded(&autoref(&[&xml, "--gcps", &list, "--quiet"]));
+    succeeded(&autoref(&[&xml, "--gcps", &list, "--quiet", "--no-report"]));
     // A tile that is not there holds nothing; a description that is broken is named.
     std::fs::remove_file(at("tiles/3/2/3.png")).expect("there");
     assert_eq!(autoref_raster::size(Path::new(&tiles), 0).expect("a mosaic"), (2048, 1280));
