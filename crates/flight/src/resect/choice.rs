@@ -92,8 +92,8 @@ fn without(wrong: usize, camera: &Camera, seen: &[Seen], options: &ResectOptions
         found.blunders.iter_mut().for_each(|i| *i += usize::from(*i >= wrong));
         found.blunders.push(wrong);
         found.blunders.sort_unstable();
-        let at = found.camera.project(found.pose.to_camera(&aside.xyz).into());
-        found.residuals_px.insert(wrong, at.map(|at| [at[0] - aside.pixel[0], at[1] - aside.pixel[1]]));
+        let residual = found.camera.residual(found.pose.to_camera(&aside.xyz).into(), aside.pixel);
+        found.residuals_px.insert(wrong, residual);
     }
     minima
 }
@@ -127,13 +127,13 @@ fn all_starts(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Vec<St
 fn misfit(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) -> f64 {
     const BEHIND: f64 = 1e9;
     let distance = |s: &Seen| {
-        let local = pose.to_camera(&s.xyz);
-        camera.project(local.into())?;
-        let (at, j) = camera.project_with_jacobian(local.into());
+        let local = pose.to_camera(&s.xyz).into();
+        camera.project(local)?;
+        let (off, j) = camera.residual_with_jacobian(local, s.pixel);
         let j = Matrix2x3::from_fn(|r, c| j[r][c]) * pose.rotation;
         let ground = Matrix3::from_diagonal(&s.sigma_m.component_mul(&s.sigma_m));
         let q = Matrix2::identity() * options.sigma_px.powi(2) + j * ground * j.transpose();
-        let v = Vector2::new(at[0] - s.pixel[0], at[1] - s.pixel[1]);
+        let v = Vector2::from(off);
         Some(v.dot(&(q.try_inverse()? * v)))
     };
     let of_points: f64 = seen.iter().map(|s| distance(s).unwrap_or(BEHIND).min(BEHIND).ln_1p()).sum();
