@@ -55,7 +55,7 @@ impl ResectionDocument {
     ) -> Self {
         let [unit_m, height_unit_m] = world.units_m();
         let others =
-            found.alternatives.iter().map(|a| CameraRecord::of(name, &a.camera, &a.pose, None, world));
+            found.alternatives.iter().map(|a| CameraRecord::of(name, &a.camera, &a.pose, a.covariance.as_ref(), world));
         let gcps = seen.iter().zip(&found.residuals_px).enumerate().map(|(i, (s, residual))| SolvedFrom {
             point: PixelResidual::of(s, *residual),
             blunder: found.blunders.contains(&i),
