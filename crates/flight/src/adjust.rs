@@ -224,8 +224,11 @@ fn build(world: &Reconstruction, control: &[&GroundPoint], options: &AdjustOptio
     let mut kept = Vec::new();
     let start = options.sigma_tie_px.unwrap_or(1.0);
     for (j, tie) in world.ties.iter().enumerate() {
-        let front = tie.seen.iter().all(|(i, _)| world.photographs[*i].pose.to_camera(&tie.xyz).z > 0.0);
-        if !front || tie.seen.len() < 2 || !tie.xyz.iter().all(|v| v.is_finite()) {
+        let faces = |(i, pixel): &(usize, [f64; 2])| {
+            let photograph = &world.photographs[*i];
+            world.cameras[photograph.camera].faces(photograph.pose.to_camera(&tie.xyz).into(), *pixel)
+        };
+        if !tie.seen.iter().all(faces) || tie.seen.len() < 2 || !tie.xyz.iter().all(|v| v.is_finite()) {
             continue;
         }
         let point = problem.points.len();
@@ -276,8 +279,9 @@ fn start_of(world: &Reconstruction, p: &GroundPoint, sigma_px: f64) -> Vector3<f
             .iter()
             .map(|(i, pixel)| {
                 let photograph = &world.photographs[*i];
-                let at = world.cameras[photograph.camera].project(photograph.pose.to_camera(x).into());
-                let off = at.map_or(f64::INFINITY, |at| (at[0] - pixel[0]).hypot(at[1] - pixel[1]) / sigma_px);
+                let camera = &world.cameras[photograph.camera];
+                let residual = camera.residual(photograph.pose.to_camera(x).into(), *pixel);
+                let off = residual.map_or(f64::INFINITY, |[x, y]| x.hypot(y) / sigma_px);
                 Loss::Huber(2.0).at((off * off).min(FARTHEST_START * FARTHEST_START)).0
             })
             .sum();

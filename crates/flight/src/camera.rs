@@ -3,7 +3,7 @@
 //! Pixels count from the outer corner of the first pixel, x to the right, y down; its centre is (0.5, 0.5). The camera
 //! looks along +z, x to the right and y down in the image.
 
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use serde::{Deserialize, Serialize};
 
@@ -154,14 +154,19 @@ impl Camera {
         [self.get(Parameter::Cx), self.get(Parameter::Cy)]
     }
 
-    /// Pixel of a point in the camera's axes (x right, y down, z forward); `None` when the point is not in front.
+    /// Pixel of a point in the camera's axes (x right, y down, z forward); `None` when the camera does not see it.
     pub fn project(&self, point: [f64; 3]) -> Option<[f64; 2]> {
         self.place(point).and_then(|place| self.pixel_of(place))
     }
 
-    /// Place of a point in the plane of the projection, f as unit; `None` when the point is not in front.
+    /// Place of a point in the plane of the projection, f as unit; `None` when the camera does not see it.
     pub(crate) fn place(&self, point: [f64; 3]) -> Option<[f64; 2]> {
-        (point[2] > 0.0 || self.projection.sees_behind()).then(|| self.projection.plane(point))
+        self.sees(point).then(|| self.projection.plane(point))
+    }
+
+    /// Whether a point in the camera's axes has a pixel: those in front, and all where the projection goes on behind.
+    pub(crate) fn sees(&self, point: [f64; 3]) -> bool {
+        point[2] > 0.0 || self.projection.sees_behind()
     }
 
     /// Pixel of a place in the plane of the projection, where it is a number.
@@ -190,24 +195,12 @@ impl Camera {
         }
     }
 
-    /// Pixel and its derivatives by the point.
-    pub fn project_with_jacobian(&self, point: [f64; 3]) -> ([f64; 2], [[f64; 3]; 2]) {
-        let place = self.projection.plane(std::array::from_fn(|i| Dual::<3>::variable(point[i], i)));
-        let [u, v] = if self.is_plain() {
-            scaled(|p| Dual::constant(self.get(p)), place)
-        } else {
-            self.image(&self.values.map(Dual::constant), place)
-        };
-        ([u.v, v.v], [u.d, v.d])
-    }
-
-    /// Pixel and its derivatives by the point and by the parameters of `which`, written behind each other.
+    /// Pixel of a place with derivatives, of which those by the parameters of `which` come behind the first three.
     ///
     /// # Panics
     /// When `N` is less than three and the parameters of `which` together.
-    pub fn project_with_parameters<const N: usize>(&self, point: [f64; 3], which: &[Parameter]) -> [Dual<N>; 2] {
+    pub(crate) fn pixel_with<const N: usize>(&self, place: [Dual<N>; 2], which: &[Parameter]) -> [Dual<N>; 2] {
         assert!(which.len() + 3 <= N, "room for the derivatives");
-        let place = self.projection.plane(std::array::from_fn(|i| Dual::variable(point[i], i)));
         if self.is_plain() && which.iter().all(|p| !p.is_of_lens()) {
             let variable = |i, p| Dual::variable(self.get(p), i + 3);
             let constant = |p| Dual::constant(self.get(p));
@@ -275,11 +268,11 @@ impl Camera {
                 step *= 0.5;
                 if step < 1e-6 {
                     // The rounding of the projection: nothing better is near.
-                    return if error < 1e-6 * f { self.projection.direction([x, y]) } else { None };
+                    return if error < 1e-6 * f { self.projection.looks([x, y]) } else { None };
                 }
             }
         }
-        if error < 1e-6 * f { self.projection.direction([x, y]) } else { None }
+        if error < 1e-6 * f { self.projection.looks([x, y]) } else { None }
     }
 
     /// Where a pixel lies in the plane of the projection, were it not for the lens's terms.
@@ -335,12 +328,12 @@ impl Projection {
     }
 
     /// Whether points beside and behind the camera have a place.
-    fn sees_behind(self) -> bool {
+    pub(crate) fn sees_behind(self) -> bool {
         !matches!(self, Projection::Perspective | Projection::Orthographic)
     }
 
     /// Place in the plane, f as unit.
-    fn plane<T: Real>(self, [x, y, z]: [T; 3]) -> [T; 2] {
+    pub(crate) fn plane<T: Real>(self, [x, y, z]: [T; 3]) -> [T; 2] {
         let (one, two) = (T::of(1.0), T::of(2.0));
         let aside2 = x * x + y * y;
         let times = |k: T| [x * k, y * k];
@@ -349,13 +342,20 @@ impl Projection {
             Projection::Perspective => [x / z, y / z],
             Projection::Fisheye => {
                 let off = aside2.sqrt();
-                if off.value() > 1e-12 * z.value().abs() { times(off.atan2(z) / off) } else { [x / z, y / z] }
+                // Straight behind there is no place: a circle.
+                if off.value() > 1e-12 * z.value() { times(off.atan2(z) / off) } else { [x / z, y / z] }
             }
             Projection::Equisolid => times(two / (two * far() * (far() + z)).sqrt()),
             Projection::Stereographic => times(two / (far() + z)),
             Projection::Orthographic => times(one / far()),
             Projection::Equirectangular => [x.atan2(z), y.atan2((x * x + z * z).sqrt())],
         }
+    }
+
+    /// The direction that a pixel at a place in the plane shows; a picture of all directions goes on at its other end.
+    fn looks(self, [x, y]: [f64; 2]) -> Option<[f64; 3]> {
+        let is_past_the_end = self == Projection::Equirectangular && x.abs() > PI;
+        self.direction([if is_past_the_end { x - TAU.copysign(x) } else { x }, y])
     }
 
     /// The direction of a place in the plane, a unit vector; `None` where the plane has ended.
@@ -448,31 +448,46 @@ mod tests {
     #[test]
     fn derivatives_agree_with_differences() {
         for camera in [some_lens(), between_maps()] {
-            derivatives_agree(&camera);
+            derivatives_agree(&camera, [0.3, -0.2, 1.1]);
+        }
+        // Beside the camera and behind it too, where it sees what is there.
+        let wide = Projection::ALL.into_iter().filter(|p| p.sees_behind());
+        for camera in wide.map(|projection| Camera { projection, ..some_lens().with(Parameter::K2, 1e-3) }) {
+            for off_deg in [0.0f64, 60.0, 90.0, 95.0, 140.0, 172.0] {
+                let (sin, cos) = off_deg.to_radians().sin_cos();
+                derivatives_agree(&camera, [0.8 * sin, -0.6 * sin, cos]);
+            }
         }
     }
 
-    fn derivatives_agree(camera: &Camera) {
+    fn derivatives_agree(camera: &Camera, point: [f64; 3]) {
         use Parameter::*;
-        let (point, h) = ([0.3, -0.2, 1.1], 1e-6);
+        let h = 1e-6;
+        let pixel = camera.project(point).expect("seen");
         let which = [F, Aspect, Cx, Cy, K1, K2, P1, P2, B1, B2, Dx, Dy];
-        let exact = camera.project_with_parameters::<16>(point, &which);
+        let exact = camera.residual_with_parameters::<16>(point, pixel, &which);
+        let agrees = |slope: f64, exact: f64, what: &dyn std::fmt::Debug| {
+            let off = (exact - slope).abs() / (1.0 + slope.abs());
+            assert!(off < 1e-4, "{:?} {point:?} {what:?}: {exact} {slope}", camera.projection);
+        };
         for (i, p) in which.iter().enumerate() {
             let scale = if matches!(p, F | Cx | Cy) { 1e3 } else { 1.0 };
-            let at = |d: f64| camera.clone().with(*p, camera.get(*p) + d * scale).project(point).expect("in front");
+            let at = |d: f64| {
+                let with = camera.clone().with(*p, camera.get(*p) + d * scale);
+                with.residual(point, pixel).expect("seen")
+            };
             for (axis, exact) in exact.iter().enumerate() {
-                let slope = (at(h)[axis] - at(-h)[axis]) / (2.0 * h * scale);
-                assert!((exact.d[i + 3] - slope).abs() < 1e-4 * (1.0 + slope.abs()), "{p:?} {axis}");
+                agrees((at(h)[axis] - at(-h)[axis]) / (2.0 * h * scale), exact.d[i + 3], p);
             }
         }
         for i in 0..3 {
             let at = |d: f64| {
                 let mut moved = point;
                 moved[i] += d;
-                camera.project(moved).expect("in front")
+                camera.residual(moved, pixel).expect("seen")
             };
             for (axis, exact) in exact.iter().enumerate() {
-                assert!((exact.d[i] - (at(h)[axis] - at(-h)[axis]) / (2.0 * h)).abs() < 1e-3);
+                agrees((at(h)[axis] - at(-h)[axis]) / (2.0 * h), exact.d[i], &i);
             }
         }
     }

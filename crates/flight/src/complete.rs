@@ -212,8 +212,7 @@ fn drawn_pose(block: &Reconstruction, seen: &[([f64; 2], Vector3<f64>)]) -> Opti
     }
     let camera = &block.cameras[0];
     let off = |pose: &Pose, (pixel, x): &([f64; 2], Vector3<f64>)| {
-        let at = camera.project(pose.to_camera(x).into());
-        at.map_or(f64::INFINITY, |at| (at[0] - pixel[0]).hypot(at[1] - pixel[1]))
+        camera.residual(pose.to_camera(x).into(), *pixel).map_or(f64::INFINITY, |[x, y]| x.hypot(y))
     };
     let near_px = (NEAR_SHARE * camera.f_px()).max(NEAR_PX);
     let agreeing = |pose: &Pose, px: f64| seen.iter().filter(|s| off(pose, s) < px).count();

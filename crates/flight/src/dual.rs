@@ -116,7 +116,9 @@ impl<const N: usize> Real for Dual<N> {
     #[inline]
     fn atan2(self, x: Self) -> Self {
         let n = self.v * self.v + x.v * x.v;
-        self.both(x, self.v.atan2(x.v), x.v / n, -self.v / n)
+        // At a pole all longitudes meet, and none has a slope.
+        let [a, b] = if n > 0.0 { [x.v / n, -self.v / n] } else { [0.0; 2] };
+        self.both(x, self.v.atan2(x.v), a, b)
     }
 }
 

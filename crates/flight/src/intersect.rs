@@ -8,11 +8,15 @@ use crate::pose::{Pose, Similarity};
 use crate::read::Reconstruction;
 use autoref_raster::random::SplitMix64;
 
-/// The point nearest to the rays; `None` when they are (nearly) parallel or it lies behind a camera.
+/// The point nearest to the rays; `None` when they are (nearly) parallel or it lies where one of
+/// them comes from: behind a camera.
 pub fn intersect(cameras: &[Camera], poses: &[(usize, Pose)], pixels: &[[f64; 2]]) -> Option<Vector3<f64>> {
     let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
+    let mut rays = Vec::with_capacity(pixels.len());
     for ((camera, pose), pixel) in poses.iter().zip(pixels) {
-        let d = pose.rotation.transpose() * Vector3::from(cameras[*camera].ray(*pixel)?);
+        let ray = cameras[*camera].ray(*pixel)?;
+        rays.push(ray);
+        let d = pose.rotation.transpose() * Vector3::from(ray);
         let m = Matrix3::identity() - d * d.transpose();
         a += m;
         b += m * pose.centre;
@@ -25,20 +29,21 @@ pub fn intersect(cameras: &[Camera], poses: &[(usize, Pose)], pixels: &[[f64; 2]
     // Least squares in the images.
     for _ in 0..5 {
         let (mut n, mut g) = (Matrix3::zeros(), Vector3::zeros());
-        for ((camera, pose), pixel) in poses.iter().zip(pixels) {
-            let p = pose.to_camera(&x);
-            if p.z <= 0.0 {
+        for (((camera, pose), pixel), ray) in poses.iter().zip(pixels).zip(&rays) {
+            let (camera, p) = (&cameras[*camera], pose.to_camera(&x).into());
+            if !camera.is_along(p, *ray) {
                 return None;
             }
-            let (at, j) = cameras[*camera].project_with_jacobian(p.into());
+            let (off, j) = camera.residual_with_jacobian(p, *pixel);
             let j = nalgebra::Matrix2x3::from_fn(|r, c| j[r][c]) * pose.rotation;
-            let r = Vector2::new(at[0] - pixel[0], at[1] - pixel[1]);
             n += j.transpose() * j;
-            g -= j.transpose() * r;
+            g -= j.transpose() * Vector2::from(off);
         }
         x += n.try_inverse()? * g;
     }
-    poses.iter().all(|(_, p)| p.to_camera(&x).z > 0.0).then_some(x)
+    let is_ahead =
+        |((camera, pose), ray): (&(usize, Pose), &[f64; 3])| cameras[*camera].is_along(pose.to_camera(&x).into(), *ray);
+    poses.iter().zip(&rays).all(is_ahead).then_some(x)
 }
 
 /// The same of places in the photographs of a reconstruction.

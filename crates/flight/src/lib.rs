@@ -30,6 +30,7 @@ pub mod read;
 pub mod refine;
 pub mod render;
 pub mod resect;
+mod residual;
 pub mod shape;
 pub mod start;
 pub mod statistics;

@@ -147,8 +147,8 @@ pub fn taken(model: &Reconstruction, moved: &[Moved]) -> Option<Reconstruction> 
             .flat_map(|(tie, place)| tie.seen.iter().map(move |seen| (seen, place)))
             .filter_map(|((frame, pixel), place)| {
                 let photograph = &model.photographs[*frame];
-                let [x, y] = model.cameras[photograph.camera].project(photograph.pose.to_camera(&place).into())?;
-                Some((x - pixel[0]).hypot(y - pixel[1]))
+                let local = photograph.pose.to_camera(&place).into();
+                model.cameras[photograph.camera].residual(local, *pixel).map(|[x, y]| x.hypot(y))
             })
             .collect();
         upper_median(&mut all)

@@ -64,9 +64,7 @@ fn seen_nearest(
         .enumerate()
         .filter_map(|(i, p)| {
             let camera = &model.cameras[p.camera];
-            // Adjustments count what lies before a camera, whatever its lens.
-            let at = Some(p.pose.to_camera(xyz)).filter(|at| at.z > 0.0)?;
-            let pixel = camera.shows(at.into(), &reaches[p.camera])?;
+            let pixel = camera.shows(p.pose.to_camera(xyz).into(), &reaches[p.camera])?;
             Some(((p.pose.centre - from).norm(), i, pixel))
         })
         .collect();

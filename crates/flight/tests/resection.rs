@@ -221,6 +221,53 @@ fn few_points_hide_no_other_pose() {
     }
 }
 
+/// Every pose that three points fit exactly is listed, or lies within the deviations that are stated of one that is.
+#[test]
+fn three_points_list_every_pose_that_fits_them() {
+    let camera = Camera::pinhole("c", [2000.0, 1500.0], 1500.0, [1003.0, 747.0]);
+    let options = ResectOptions { sigma_px: 0.2, ..ResectOptions::default() };
+    let lost = |places: [[f64; 3]; 3], pixels: [[f64; 2]; 3]| {
+        let point = |i: usize| Seen {
+            name: i.to_string(),
+            xyz: places[i].into(),
+            sigma_m: Vector3::repeat(0.01),
+            pixel: pixels[i],
+        };
+        let found = resect(&camera, &[0, 1, 2].map(point), &options).expect("a pose");
+        let rays = pixels.map(|pixel| camera.ray(pixel).expect("inside").into());
+        let exact = three_points(&places.map(Vector3::from), &rays);
+        let others = found.alternatives.iter().map(|a| (a.pose.centre, a.covariance));
+        let listed: Vec<_> = others.chain([(found.pose.centre, found.covariance)]).collect();
+        let is_listed = |at: &Vector3<f64>| {
+            listed.iter().any(|(centre, covariance)| {
+                let sigma = |k: usize| covariance.map_or(0.0, |q| q[(3 + k, 3 + k)].sqrt());
+                (centre - at).norm() < 5.0 || (0..3).all(|k| (at[k] - centre[k]).abs() <= 3.0 * sigma(k))
+            })
+        };
+        let lost: Vec<Vector3<f64>> = exact.iter().map(|p| p.centre).filter(|c| !is_listed(c)).collect();
+        (exact.len(), lost)
+    };
+    let places = [[5525.8325, 6425.0105, 130.4738], [5340.3388, 5944.6813, 194.8372], [4594.3962, 6202.7373, 78.4809]];
+    assert_eq!(lost(places, [[142.640, 1448.847], [495.569, 658.927], [1755.587, 1231.923]]), (4, vec![]));
+    let mut random = Random::new(81);
+    let mut fours = 0;
+    for _ in 0..40 {
+        let angles = YawPitchRoll { yaw_deg: random.uniform(0.0, 360.0), pitch_deg: -86.0, roll_deg: 0.0 };
+        let pose = Pose::looking(Vector3::new(5000.0, 6000.0, 1000.0), angles);
+        let pixels: [[f64; 2]; 3] =
+            std::array::from_fn(|_| [random.uniform(50.0, 1950.0), random.uniform(50.0, 1450.0)]);
+        let place = |pixel: [f64; 2], height: f64| {
+            let ray = pose.rotation.transpose() * Vector3::from(camera.ray(pixel).expect("inside"));
+            (pose.centre + ray * ((height - pose.centre.z) / ray.z)).into()
+        };
+        let places: [[f64; 3]; 3] = pixels.map(|pixel| place(pixel, random.uniform(0.0, 200.0)));
+        let (exact, lost) = lost(places, pixels);
+        fours += usize::from(exact == 4);
+        assert!(lost.is_empty(), "{places:?} {pixels:?}: {lost:?}");
+    }
+    assert!(fours >= 5, "{fours}");
+}
+
 /// Four points that leave the focal length open state more than one pose, or a deviation that holds.
 #[test]
 fn a_sought_focal_length_hides_no_other_pose() {

@@ -44,13 +44,12 @@ pub(super) fn frames(model: &Reconstruction, points: &[GroundPoint]) -> Vec<Astr
     if 2 * astray.len() >= tested { Vec::new() } else { astray }
 }
 
-/// Whether a point is in front of a frame and about where it was measured.
+/// Whether a frame sees a point, and about where it was measured.
 fn is_near(model: &Reconstruction, x: &Vector3<f64>, (frame, pixel): &(usize, [f64; 2])) -> bool {
     let photograph = &model.photographs[*frame];
     let camera = &model.cameras[photograph.camera];
-    let at = camera.project(photograph.pose.to_camera(x).into());
     let most_px = NEAR * camera.size_px[0].hypot(camera.size_px[1]);
-    at.is_some_and(|at| (at[0] - pixel[0]).hypot(at[1] - pixel[1]) <= most_px)
+    camera.residual(photograph.pose.to_camera(x).into(), *pixel).is_some_and(|[x, y]| x.hypot(y) <= most_px)
 }
 
 /// Whether most of a frame's ties, and three at least, are where it has them.

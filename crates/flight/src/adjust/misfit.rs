@@ -59,10 +59,10 @@ fn middle(mut all: Vec<f64>) -> Option<f64> {
 
 /// The covariance of the place where the rays of a point meet, of its measurement alone.
 fn of_rays(at: &Vector3<f64>, point: &GroundPoint, model: &Reconstruction, sigma_px: f64) -> Option<Matrix3<f64>> {
-    let normal = point.seen.iter().map(|(i, _)| {
+    let normal = point.seen.iter().map(|(i, pixel)| {
         let photograph = &model.photographs[*i];
         let local = photograph.pose.to_camera(at);
-        let (_, j) = model.cameras[photograph.camera].project_with_jacobian(local.into());
+        let (_, j) = model.cameras[photograph.camera].residual_with_jacobian(local.into(), *pixel);
         let j = Matrix2x3::from_fn(|r, c| j[r][c]) * photograph.pose.rotation;
         j.transpose() * j / sigma_px.powi(2)
     });

@@ -113,8 +113,8 @@ fn adjusted_point(p: &GroundPoint, model: &Reconstruction, control: &[&GroundPoi
             .iter()
             .filter_map(|(i, pixel)| {
                 let photograph = &model.photographs[*i];
-                let at = model.cameras[photograph.camera].project(photograph.pose.to_camera(xyz).into())?;
-                Some((*i, [at[0] - pixel[0], at[1] - pixel[1]]))
+                let local = photograph.pose.to_camera(xyz).into();
+                Some((*i, model.cameras[photograph.camera].residual(local, *pixel)?))
             })
             .collect()
     };

@@ -98,10 +98,9 @@ fn best(problem: &Problem, bundle: &Bundle, places: &[Vector3<f64>], times: f64,
     best.map(|b| b.1)
 }
 
-/// How far from its measurement a place is seen, pixels; infinite behind the camera.
+/// How far from its measurement a place is seen, pixels; infinite where the camera does not see it.
 fn miss_px(problem: &Problem, o: &Observation, x: &Vector3<f64>) -> f64 {
     let frame = &problem.frames[o.frame];
-    let local = frame.pose.to_camera(x);
-    let at = problem.cameras[frame.camera].camera.project(local.into()).filter(|_| local.z > 0.0);
-    at.map_or(f64::INFINITY, |at| (at[0] - o.pixel[0]).hypot(at[1] - o.pixel[1]))
+    let camera = &problem.cameras[frame.camera].camera;
+    camera.residual(frame.pose.to_camera(x).into(), o.pixel).map_or(f64::INFINITY, |[x, y]| x.hypot(y))
 }

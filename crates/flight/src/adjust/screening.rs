@@ -168,10 +168,9 @@ fn measured(problem: &Problem, ties: usize) -> Vec<Seen> {
         let Some((at, sigma)) = problem.points[o.point].survey.filter(|survey| survey.1.max() < 1e5) else { continue };
         let frame = &problem.frames[o.frame];
         let camera = &problem.cameras[frame.camera].camera;
-        let local = frame.pose.to_camera(&at);
-        let seen = camera.project(local.into()).filter(|_| local.z > 0.0);
-        let off_px = seen.map_or(f64::INFINITY, |p| (p[0] - o.pixel[0]).hypot(p[1] - o.pixel[1]));
-        let ground_px = camera.f_px() * sigma.max() / local.z.abs().max(f64::MIN_POSITIVE);
+        let local = frame.pose.to_camera(&at).into();
+        let off_px = camera.residual(local, o.pixel).map_or(f64::INFINITY, |[x, y]| x.hypot(y));
+        let ground_px = sigma.max() * camera.most_px_per_m(local);
         all.push(Seen { index, point: o.point, off_px, ground_px });
     }
     all.sort_by_key(|s| s.point);
@@ -186,8 +185,7 @@ fn rays_meet(problem: &Problem, seen: &[Observation], most_px: f64) -> bool {
     let pixels: Vec<[f64; 2]> = seen.iter().map(|o| o.pixel).collect();
     let Some(at) = intersect(&cameras, &poses, &pixels) else { return false };
     poses.iter().zip(&pixels).all(|((camera, pose), pixel)| {
-        let local = pose.to_camera(&at);
-        let seen = cameras[*camera].project(local.into()).filter(|_| local.z > 0.0);
-        seen.is_some_and(|p| (p[0] - pixel[0]).hypot(p[1] - pixel[1]) <= most_px)
+        let residual = cameras[*camera].residual(pose.to_camera(&at).into(), *pixel);
+        residual.is_some_and(|[x, y]| x.hypot(y) <= most_px)
     })
 }

@@ -90,13 +90,16 @@ fn refuse_most(control: &[&GroundPoint], blunders: &[Blunder], screened: &Screen
     ))
 }
 
-/// What drove a GCP off: of all that moved farther than they were from a camera that shows them, or behind it, the
-/// image point that fitted worst before. `None` where none moved so, or none fitted badly.
+/// What drove a GCP off: of all that moved farther than they were from a camera that shows them, or to its other side,
+/// the image point that fitted worst before. `None` where none moved so, or none fitted badly.
 fn driver(before: &Problem, after: &Problem, ties: usize) -> Option<usize> {
     let ran_off = |o: &Observation| {
         let (from, to) = (before.points[o.point].xyz, after.points[o.point].xyz);
         let away = (from - before.frames[o.frame].pose.centre).norm();
-        let in_front = |p: &Problem| p.frames[o.frame].pose.to_camera(&p.points[o.point].xyz).z > 0.0;
+        let in_front = |p: &Problem| {
+            let frame = &p.frames[o.frame];
+            p.cameras[frame.camera].camera.faces(frame.pose.to_camera(&p.points[o.point].xyz).into(), o.pixel)
+        };
         // Frames move too, and take their points along.
         let shift = after.frames[o.frame].pose.centre - before.frames[o.frame].pose.centre;
         (to - from - shift).norm() > away || (in_front(before) && !in_front(after))

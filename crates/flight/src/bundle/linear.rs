@@ -30,7 +30,7 @@ pub(super) struct Linear {
     pub residual: Vector2<f64>,
 }
 
-/// The derivatives of an observation, weighted by 1/σ and the robust loss; `None` behind the camera.
+/// The derivatives of an observation, weighted by 1/σ and the robust loss; `None` where the camera does not see it.
 pub(super) fn linear(
     problem: &Problem,
     layout: &Layout,
@@ -41,23 +41,24 @@ pub(super) fn linear(
     let frame = &problem.frames[o.frame];
     let x = &problem.points[o.point].xyz;
     let p = frame.pose.to_camera(x);
-    if p.z <= 0.0 {
+    let camera = &problem.cameras[frame.camera].camera;
+    if !camera.sees(p.into()) {
         return None;
     }
-    let camera = &problem.cameras[frame.camera].camera;
     let active = &layout.active[frame.camera];
     let mut interior = [Vector2::zeros(); MOST_INTERIOR];
-    let (at, by_p) = if active.is_empty() {
-        let (at, j) = camera.project_with_jacobian(p.into());
-        (at, Matrix2x3::from_fn(|r, c| j[r][c]))
-    } else if active.len() <= 1 {
-        split::<4>(&camera.project_with_parameters::<4>(p.into(), active), active.len(), &mut interior)
-    } else if active.len() <= 5 {
-        split::<8>(&camera.project_with_parameters::<8>(p.into(), active), active.len(), &mut interior)
+    let (p_at, pixel, count) = (p.into(), o.pixel, active.len());
+    let (off, by_p) = if active.is_empty() {
+        let (off, j) = camera.residual_with_jacobian(p_at, pixel);
+        (off, Matrix2x3::from_fn(|r, c| j[r][c]))
+    } else if count <= 1 {
+        split::<4>(&camera.residual_with_parameters::<4>(p_at, pixel, active), count, &mut interior)
+    } else if count <= 5 {
+        split::<8>(&camera.residual_with_parameters::<8>(p_at, pixel, active), count, &mut interior)
     } else {
-        split::<16>(&camera.project_with_parameters::<16>(p.into(), active), active.len(), &mut interior)
+        split::<16>(&camera.residual_with_parameters::<16>(p_at, pixel, active), count, &mut interior)
     };
-    let residual = Vector2::new(at[0] - o.pixel[0], at[1] - o.pixel[1]) / o.sigma_px;
+    let residual = Vector2::from(off) / o.sigma_px;
     if !residual.iter().all(|v| v.is_finite()) {
         return None;
     }

@@ -125,16 +125,16 @@ pub struct Problem {
     pub offset: Option<Vector3<f64>>,
 }
 
-/// What an observation behind its camera costs, in σ: it pulls nowhere, but leaving the image to the back does not pay.
+/// What an observation that its camera does not see costs, in σ: it pulls nowhere, but leaving the image to the back
+/// does not pay.
 const BEHIND_SIGMAS: f64 = 1e3;
 
 impl Problem {
-    /// Residual of an observation (predicted − measured), pixels; `None` when the point is not in front of the camera.
+    /// Residual of an observation (predicted − measured), pixels; `None` when the camera does not see the point.
     pub fn residual(&self, o: &Observation) -> Option<[f64; 2]> {
         let frame = &self.frames[o.frame];
         let p = frame.pose.to_camera(&self.points[o.point].xyz);
-        let at = self.cameras[frame.camera].camera.project(p.into())?;
-        Some([at[0] - o.pixel[0], at[1] - o.pixel[1]])
+        self.cameras[frame.camera].camera.residual(p.into(), o.pixel)
     }
 
     /// Known position − centre of a frame, metres, without what all positions are off together.

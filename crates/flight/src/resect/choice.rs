@@ -72,11 +72,13 @@ pub(super) fn choose(camera: &Camera, seen: &[Seen], options: &ResectOptions) ->
     let (scale, mut best) = (minimum.scale(), minimum.found);
     let mut others: Vec<Resection> = Vec::new();
     for (_, other) in judged.take_while(|(price, _)| price - least <= NOT_RULED_OUT * scale) {
-        if std::iter::once(&best).chain(&others).all(|known| !is_same(known, &other.found, seen)) {
-            others.push(other.found);
+        let other = other.found;
+        if !is_covered(&best, &other, seen) && others.iter().all(|known| !is_one_pose(known, &other, seen)) {
+            others.push(other);
         }
     }
-    best.alternatives = others.into_iter().map(|o| Alternative { camera: o.camera, pose: o.pose }).collect();
+    best.alternatives =
+        others.into_iter().map(|o| Alternative { camera: o.camera, pose: o.pose, covariance: o.covariance }).collect();
     Choice { best: Some(best), is_open }
 }
 
@@ -92,8 +94,8 @@ fn without(wrong: usize, camera: &Camera, seen: &[Seen], options: &ResectOptions
         found.blunders.iter_mut().for_each(|i| *i += usize::from(*i >= wrong));
         found.blunders.push(wrong);
         found.blunders.sort_unstable();
-        let at = found.camera.project(found.pose.to_camera(&aside.xyz).into());
-        found.residuals_px.insert(wrong, at.map(|at| [at[0] - aside.pixel[0], at[1] - aside.pixel[1]]));
+        let residual = found.camera.residual(found.pose.to_camera(&aside.xyz).into(), aside.pixel);
+        found.residuals_px.insert(wrong, residual);
     }
     minima
 }
@@ -127,13 +129,13 @@ fn all_starts(camera: &Camera, seen: &[Seen], options: &ResectOptions) -> Vec<St
 fn misfit(camera: &Camera, pose: &Pose, seen: &[Seen], options: &ResectOptions) -> f64 {
     const BEHIND: f64 = 1e9;
     let distance = |s: &Seen| {
-        let local = pose.to_camera(&s.xyz);
-        camera.project(local.into())?;
-        let (at, j) = camera.project_with_jacobian(local.into());
+        let local = pose.to_camera(&s.xyz).into();
+        camera.project(local)?;
+        let (off, j) = camera.residual_with_jacobian(local, s.pixel);
         let j = Matrix2x3::from_fn(|r, c| j[r][c]) * pose.rotation;
         let ground = Matrix3::from_diagonal(&s.sigma_m.component_mul(&s.sigma_m));
         let q = Matrix2::identity() * options.sigma_px.powi(2) + j * ground * j.transpose();
-        let v = Vector2::new(at[0] - s.pixel[0], at[1] - s.pixel[1]);
+        let v = Vector2::from(off);
         Some(v.dot(&(q.try_inverse()? * v)))
     };
     let of_points: f64 = seen.iter().map(|s| distance(s).unwrap_or(BEHIND).min(BEHIND).ln_1p()).sum();
@@ -248,16 +250,35 @@ fn is_beside(a: &Pose, b: &Pose, seen: &[Seen]) -> bool {
     (a.centre - b.centre).norm() <= SAME_PLACE * nearest && turn(&a.rotation, &b.rotation).norm() <= SAME_TURN
 }
 
-/// Whether the deviations that are stated of a minimum cover another one.
-fn is_same(known: &Resection, other: &Resection, seen: &[Seen]) -> bool {
-    let Some(covariance) = &known.covariance else { return is_beside(&known.pose, &other.pose, seen) };
-    let turned = turn(&other.pose.rotation, &known.pose.rotation);
-    let moved = other.pose.centre - known.pose.centre;
+/// Whether the deviations that are stated of the best minimum cover another one.
+fn is_covered(best: &Resection, other: &Resection, seen: &[Seen]) -> bool {
+    covers(best, other).unwrap_or_else(|| is_beside(&best.pose, &other.pose, seen))
+        || is_of_other_points(best, other, seen)
+}
+
+/// Whether two alternatives are one pose: each lies within the deviations that are stated of the other. The wide ones of
+/// one alone would hide another that is known well.
+fn is_one_pose(a: &Resection, b: &Resection, seen: &[Seen]) -> bool {
+    let is_one = match (covers(a, b), covers(b, a)) {
+        (Some(there), Some(back)) => there && back,
+        _ => is_beside(&a.pose, &b.pose, seen),
+    };
+    is_one || is_of_other_points(a, b, seen)
+}
+
+/// Whether the deviations of a minimum cover another one; `None` where it has none.
+fn covers(minimum: &Resection, other: &Resection) -> Option<bool> {
+    let covariance = minimum.covariance.as_ref()?;
+    let turned = turn(&other.pose.rotation, &minimum.pose.rotation);
+    let moved = other.pose.centre - minimum.pose.centre;
     let covers = |i: usize| {
         let by = if i < 3 { turned[i] } else { moved[i - 3] };
         by.abs() <= SAME_SIGMAS * covariance[(i, i)].max(0.0).sqrt()
     };
-    let covered = (0..6).all(covers);
-    // Minima with other wrong points lie beside each other without being two poses.
-    covered || (known.blunders != other.blunders && is_beside(&known.pose, &other.pose, seen))
+    Some((0..6).all(covers))
+}
+
+/// Minima with other wrong points lie beside each other without being two poses.
+fn is_of_other_points(a: &Resection, b: &Resection, seen: &[Seen]) -> bool {
+    a.blunders != b.blunders && is_beside(&a.pose, &b.pose, seen)
 }

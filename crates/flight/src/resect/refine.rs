@@ -268,10 +268,7 @@ impl Refining<'_> {
 
     fn resection(mut self, fit: &Fit) -> Result<Resection> {
         let (camera, pose) = (&self.camera, &self.pose);
-        let residual = |s: &Seen| {
-            let at = camera.project(pose.to_camera(&s.xyz).into());
-            at.map(|p| [p[0] - s.pixel[0], p[1] - s.pixel[1]])
-        };
+        let residual = |s: &Seen| camera.residual(pose.to_camera(&s.xyz).into(), s.pixel);
         let residuals_px: Vec<Option<[f64; 2]>> = self.seen.iter().map(residual).collect();
         if self.kept.iter().any(|i| residuals_px[*i].is_none()) {
             return Err(Error::no_result("a point lies behind the camera", "check the points"));

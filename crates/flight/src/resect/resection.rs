@@ -37,4 +37,6 @@ pub struct Resection {
 pub struct Alternative {
     pub camera: Camera,
     pub pose: Pose,
+    /// Turn (radians) and centre, if this pose is the right one; `None` where two poses fall together.
+    pub covariance: Option<SMatrix<f64, 6, 6>>,
 }

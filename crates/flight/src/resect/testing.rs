@@ -10,8 +10,7 @@ use crate::pose::Pose;
 
 /// How far from its pixel a point may be seen, 1σ, pixels: by the measurement and by its place on the ground.
 pub(super) fn expected_px(camera: &Camera, pose: &Pose, seen: &Seen, sigma_px: f64) -> f64 {
-    let depth = pose.to_camera(&seen.xyz).z.abs().max(f64::MIN_POSITIVE);
-    sigma_px.hypot(camera.f_px() * seen.sigma_m.max() / depth)
+    sigma_px.hypot(seen.sigma_m.max() * camera.most_px_per_m(pose.to_camera(&seen.xyz).into()))
 }
 
 /// Points that lie far from a robust pose: by that of all together, two of ten hide each other.
@@ -24,9 +23,9 @@ pub(super) fn far_off(camera: &Camera, pose: &Pose, seen: &[Seen], options: &Res
     let off: Vec<f64> = seen
         .iter()
         .map(|s| {
-            let at = camera.project(pose.to_camera(&s.xyz).into());
             let share = options.sigma_px / expected_px(camera, pose, s, options.sigma_px);
-            at.map_or(f64::INFINITY, |p| (p[0] - s.pixel[0]).hypot(p[1] - s.pixel[1]) * share)
+            let residual = camera.residual(pose.to_camera(&s.xyz).into(), s.pixel);
+            residual.map_or(f64::INFINITY, |[x, y]| x.hypot(y) * share)
         })
         .collect();
     let Some(median) = upper_median(&mut off.clone()) else { return Vec::new() };
@@ -62,7 +61,7 @@ pub(super) fn excess(sigma0: Option<f64>, redundancy: usize) -> f64 {
 /// How far a point that took no part lies from where the pose has it, in standard deviations of both.
 pub(super) fn off_by(camera: &Camera, pose: &Pose, factored: &Factored, seen: &Seen, options: &ResectOptions) -> f64 {
     let local = pose.to_camera(&seen.xyz);
-    let (at, j) = camera.project_with_jacobian(local.into());
+    let (off, j) = camera.residual_with_jacobian(local.into(), seen.pixel);
     let j = nalgebra::Matrix2x3::from_fn(|r, c| j[r][c]) * pose.rotation;
     // A turn about the camera moves the point by its distance: the covariance of both, in the image.
     let moved = nalgebra::Matrix3x6::from_fn(|r, c| if c < 3 { 0.0 } else { f64::from(u8::from(r == c - 3)) });
@@ -71,8 +70,8 @@ pub(super) fn off_by(camera: &Camera, pose: &Pose, factored: &Factored, seen: &S
     let q = j * all * factored.frame(0) * all.transpose() * j.transpose()
         + Matrix2::identity() * options.sigma_px.powi(2)
         + j * nalgebra::Matrix3::from_diagonal(&seen.sigma_m.component_mul(&seen.sigma_m)) * j.transpose();
-    let v = Vector2::new(at[0] - seen.pixel[0], at[1] - seen.pixel[1]);
-    let inverse = q.try_inverse().filter(|_| local.z > 0.0);
+    let v = Vector2::from(off);
+    let inverse = q.try_inverse().filter(|_| camera.sees(local.into()));
     inverse.map_or(f64::INFINITY, |inverse| v.dot(&(inverse * v)).sqrt())
 }
 
@@ -111,13 +110,13 @@ pub(super) fn worst_points(
     worst
 }
 
-/// The residual of each point against its standard deviation; `None` where one lies behind the camera.
+/// The residual of each point against its standard deviation; `None` where the camera does not see one.
 fn normalised(at: &Problem, factored: &Factored, seen: &[Seen]) -> Option<Vec<f64>> {
     let mut tests = Vec::new();
     for (i, o) in at.observations.iter().enumerate() {
         // From where the fit has the point: image and survey of a point that one frame sees share one test.
-        let p = at.cameras[0].camera.project(at.frames[0].pose.to_camera(&at.points[i].xyz).into())?;
-        let v = Vector2::new(p[0] - o.pixel[0], p[1] - o.pixel[1]);
+        let local = at.frames[0].pose.to_camera(&at.points[i].xyz).into();
+        let v = Vector2::from(at.cameras[0].camera.residual(local, o.pixel)?);
         // Of the residual: what was stated less what the fit took up.
         let q = Matrix2::identity() * o.sigma_px.powi(2) - factored.predicted(at, o)?;
         let coarse = o.sigma_px / expected_px(&at.cameras[0].camera, &at.frames[0].pose, &seen[i], o.sigma_px);

@@ -83,6 +83,13 @@ pub struct OtherPose {
     pub yaw_deg: f64,
     pub pitch_deg: f64,
     pub roll_deg: f64,
+    /// Standard deviations of its place, metres, if it is the right one; `None` where they cannot be stated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_e: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_n: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_h: Option<f64>,
     #[serde(rename = "C")]
     pub centre: [f64; 3],
     #[serde(rename = "R")]
@@ -169,7 +176,11 @@ impl Distortion {
 
 impl From<CameraRecord> for OtherPose {
     fn from(camera: CameraRecord) -> Self {
+        let known = camera.deviations.as_ref();
         OtherPose {
+            sigma_e: known.map(|d| d.sigma_e),
+            sigma_n: known.map(|d| d.sigma_n),
+            sigma_h: known.map(|d| d.sigma_h),
             yaw_deg: camera.yaw_deg,
             pitch_deg: camera.pitch_deg,
             roll_deg: camera.roll_deg,

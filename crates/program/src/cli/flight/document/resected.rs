@@ -54,15 +54,15 @@ impl ResectionDocument {
         more: Vec<String>,
     ) -> Self {
         let [unit_m, height_unit_m] = world.units_m();
-        let others = found.alternatives.iter().map(|a| CameraRecord::of(name, &a.camera, &a.pose, None, world));
+        let others =
+            found.alternatives.iter().map(|a| CameraRecord::of(name, &a.camera, &a.pose, a.covariance.as_ref(), world));
         let gcps = seen.iter().zip(&found.residuals_px).enumerate().map(|(i, (s, residual))| SolvedFrom {
             point: PixelResidual::of(s, *residual),
             blunder: found.blunders.contains(&i),
         });
-        let kept_out = checks.iter().map(|s| {
-            let at = found.camera.project(found.pose.to_camera(&s.xyz).into());
-            PixelResidual::of(s, at.map(|at| [at[0] - s.pixel[0], at[1] - s.pixel[1]]))
-        });
+        let kept_out = checks
+            .iter()
+            .map(|s| PixelResidual::of(s, found.camera.residual(found.pose.to_camera(&s.xyz).into(), s.pixel)));
         ResectionDocument {
             crs,
             unit_m,

@@ -31,10 +31,10 @@ impl RelativeStage {
         for tie in &model.ties {
             for (i, pixel) in &tie.seen {
                 let photograph = &model.photographs[*i];
-                let seen = model.cameras[photograph.camera].project(photograph.pose.to_camera(&tie.xyz).into());
-                if let Some([x, y]) = seen {
+                let local = photograph.pose.to_camera(&tie.xyz).into();
+                if let Some([x, y]) = model.cameras[photograph.camera].residual(local, *pixel) {
                     squares[*i].0 += 1;
-                    squares[*i].1 += (x - pixel[0]).powi(2) + (y - pixel[1]).powi(2);
+                    squares[*i].1 += x * x + y * y;
                 }
             }
         }
