@@ -1,5 +1,6 @@
 //! A profile taught by examples: marks that somebody points at or outlines, or the paint's colours alone.
 
+mod colour_table;
 mod colours;
 mod example;
 mod statistics;
@@ -20,7 +21,8 @@ use autoref_raster::words::counted;
 use autoref_raster::{Patch, SampleType};
 use example::{Example, example, outlined};
 
-pub use colours::{learn_colours, read_colours};
+pub use colour_table::{ColourTable, ColourValues, read_colours};
+pub use colours::{LIKE_THE_OTHERS, apart_from_paint, learn_colours};
 pub use statistics::{ColourStatistics, SampleStatistics};
 
 /// How far around a position a patch should reach when the size of the marks is not known.

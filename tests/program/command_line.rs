@@ -109,3 +109,31 @@ fn every_command_names_its_files_and_can_be_quiet() {
     let toml = autoref(&["sample", "--colours", &colours, "--quiet"]);
     assert!(stdout(&toml).contains("[colour]") && toml.stderr.is_empty(), "{toml:?}");
 }
+
+/// Rows that are not the paint are left out and named; the others teach what they would alone.
+#[test]
+fn a_table_of_colours_is_of_one_paint() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let paint: Vec<String> = (0..40).map(|i| format!("{},{},{}", 250 - i % 5, 100 + i % 7, 10 + i % 11)).collect();
+    let others: Vec<String> = (0..30).map(|i| format!("{},{},{}", 60 + i, 120 + i, 50 + i)).collect();
+    let learned = |name: &str, rows: &[String]| {
+        std::fs::write(path(name), rows.join("\n")).expect("writable");
+        let output = autoref(&["sample", "--colours", &path(name), "--json"]);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        let document: serde_json::Value =
+            serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{e}: {said}"));
+        (document, said)
+    };
+    let (alone, said) = learned("alone.csv", &paint);
+    assert!(said.contains("values taken for red, green, blue of 0 to 255") && !said.contains("left out"), "{said}");
+    assert_eq!(
+        (alone["left_out"].as_array().map(Vec::len), &alone["values"]),
+        (Some(0), &"red, green, blue of 0 to 255".into())
+    );
+    let (mixed, said) = learned("mixed.csv", &[&paint[..], &others].concat());
+    assert!(said.contains("30 rows are left out") && said.contains("row 41, row 42"), "{said}");
+    assert_eq!((&mixed["profile"], &mixed["left_out"][29]["name"]), (&alone["profile"], &"row 70".into()));
+    let shares: Vec<String> = (0..40).map(|i| format!("{}.5,{},{}", 90 - i % 5, 40 + i % 7, 5 + i % 3)).collect();
+    assert!(learned("shares.csv", &shares).1.contains("as percentages have"));
+}
