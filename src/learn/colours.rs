@@ -1,20 +1,15 @@
 //! Learning from colours alone: a table of samples, as the 2016 prototype took.
 
-use std::path::Path;
+use nalgebra::Vector3;
 
 use super::{LearnOptions, Lesson, density, widened};
 use crate::profile::colour::{Metric, Space, lab_from_srgb};
 use crate::profile::{ColourModel, Examine, Filters, GateLimits, Profile, Shape, Size, Target};
-use autoref_raster::bounded;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::words::counted;
 
 /// Fewest colours that say how the paint varies.
 const FEWEST: usize = 10;
-/// Most colours of a table.
-const MOST: usize = 4_000_000;
-/// Largest table.
-const TABLE_BYTES: u64 = 256 << 20;
 
 /// Learns a profile from samples of the paint's colour (sRGB 0..=1), for marks of this size.
 ///
@@ -26,7 +21,7 @@ const TABLE_BYTES: u64 = 256 << 20;
 pub fn learn_colours(name: &str, colours: Vec<[f64; 3]>, size: Size, options: &LearnOptions) -> Result<Lesson> {
     if colours.len() < FEWEST {
         return Err(Error::usage(
-            format!("{} colours say too little of how the paint varies", colours.len()),
+            format!("{} too little of how the paint varies", counted(colours.len(), "colour says", "colours say")),
             format!("give at least {FEWEST}, or one with --paint #RRGGBB in the main job"),
         ));
     }
@@ -58,118 +53,82 @@ pub fn learn_colours(name: &str, colours: Vec<[f64; 3]>, size: Size, options: &L
     Ok(Lesson { profile, paint: colours })
 }
 
-/// Reads a table of colours: three numbers a row, red, green, blue, of 0 to 1 or of 0 to 255, with or without titles;
-/// commas, semicolons, tabs or spaces between. With titles, the columns named red/r, green/g, blue/b are taken. Colours
-/// in 0..=1 come back; a table is of 0 to 1 when no value in it is above 1.
+/// Largest distance in a\*b\* of a colour of paint from the middle of the others. Paint in shade and sun, fresh and worn,
+/// is within it; a car or a bush is not.
+pub const LIKE_THE_OTHERS: f64 = 30.0;
+/// In less light a colour moves towards L\* = -16, a\* = b\* = 0, by the cube root of the light: to half the way in an
+/// eighth of it.
+const DEEPEST_SHADE: f64 = 0.5;
+
+/// Whether a colour lies apart from paint with this middle, in any light; both in L\*a\*b\*.
+fn lies_apart(colour: &Vector3<f64>, middle: &Vector3<f64>) -> bool {
+    let off = |share: f64| (colour[1] - share * middle[1]).hypot(colour[2] - share * middle[2]) > LIKE_THE_OTHERS;
+    off(1.0) && off(((colour[0] + 16.0) / (middle[0] + 16.0)).clamp(DEEPEST_SHADE, 1.0))
+}
+
+/// Which of the colours (sRGB 0..=1) lie apart from those of one paint, which most of them must be: the colour that most
+/// are like is sought, then the middle of these, until the same stay.
 ///
 /// # Errors
-/// [`Error::Format`] naming the row that is no colour; [`Error::Limit`] above four million rows.
-pub fn read_colours(path: &Path) -> Result<Vec<[f64; 3]>> {
-    let text = bounded::read_to_string(path, "a table of colours", TABLE_BYTES)?;
-    let mut colours: Vec<[f64; 3]> = Vec::new();
-    let mut columns = [0, 1, 2];
-    let mut titled = false;
-    for (index, line) in text.lines().enumerate() {
-        let line = line.trim_start_matches('\u{feff}').trim();
-        if line.is_empty() || line.starts_with('#') {
-            continue;
+/// [`Error::Usage`] when fewer than half are like each other.
+pub fn apart_from_paint(colours: &[[f64; 3]]) -> Result<Vec<bool>> {
+    /// Colours that are tried as the middle, and those that each is compared with.
+    const TRIED: usize = 300;
+    const COMPARED: usize = 3000;
+    const ROUNDS: usize = 20;
+    let lab: Vec<Vector3<f64>> = colours.iter().map(|c| lab_from_srgb(*c)).collect();
+    let some = |most: usize| lab.iter().step_by(lab.len().div_ceil(most).max(1));
+    let like = |middle: &Vector3<f64>| some(COMPARED).filter(|colour| !lies_apart(colour, middle)).count();
+    // The first of equals, so that the order of the table alone decides.
+    let Some(start) = some(TRIED).rev().max_by_key(|middle| like(middle)) else { return Ok(Vec::new()) };
+    let mut apart: Vec<bool> = lab.iter().map(|colour| lies_apart(colour, start)).collect();
+    for _ in 0..ROUNDS {
+        let kept: Vec<&Vector3<f64>> = lab.iter().zip(&apart).filter(|(_, apart)| !**apart).map(|(c, _)| c).collect();
+        let middle = kept.iter().copied().sum::<Vector3<f64>>() / kept.len().max(1) as f64;
+        let now: Vec<bool> = lab.iter().map(|colour| lies_apart(colour, &middle)).collect();
+        if now == apart {
+            break;
         }
-        let wrong = |what: String| Error::format(path, format!("row {}", index + 1), what);
-        let cells = cells(line);
-        if colours.is_empty() && !titled && cells.iter().all(|cell| cell.parse::<f64>().is_err()) {
-            columns = titles(&cells).ok_or_else(|| wrong("no columns red, green and blue".into()))?;
-            titled = true;
-            continue;
-        }
-        if !titled && cells.len() != 3 {
-            return Err(wrong(format!(
-                "{} where red, green and blue are expected",
-                counted(cells.len(), "value", "values")
-            )));
-        }
-        let value = |column: usize| {
-            let cell = cells.get(column).map_or("", String::as_str);
-            let value = cell.parse::<f64>().ok().filter(|v| (0.0..=255.0).contains(v));
-            value.ok_or_else(|| wrong(format!("`{cell}` is no value of 0 to 1 or 0 to 255")))
-        };
-        colours.push([value(columns[0])?, value(columns[1])?, value(columns[2])?]);
-        if colours.len() > MOST {
-            return Err(Error::Limit {
-                what: format!("{}: colours", path.display()),
-                needed: MOST as u64 + 1,
-                allowed: MOST as u64,
-                remedy: "thin the table out".into(),
-            });
-        }
+        apart = now;
     }
-    if colours.iter().flatten().any(|v| *v > 1.0) {
-        colours.iter_mut().flatten().for_each(|v| *v /= 255.0);
+    let kept = apart.iter().filter(|apart| !**apart).count();
+    if kept * 2 < lab.len() {
+        return Err(Error::usage(
+            format!(
+                "no more than {kept} of {} colours are of one paint (within {LIKE_THE_OTHERS} units of a*b*)",
+                lab.len()
+            ),
+            "give a table of one paint",
+        ));
     }
-    Ok(colours)
-}
-
-/// What stands between commas, semicolons, tabs or spaces. A decimal comma is one where semicolons, tabs or spaces
-/// divide.
-fn cells(line: &str) -> Vec<String> {
-    let plain = |cell: &str| cell.trim().trim_matches('"').to_owned();
-    for divider in [';', '\t'] {
-        if line.contains(divider) {
-            return line.split(divider).map(|cell| plain(&cell.replace(',', "."))).collect();
-        }
-    }
-    if line.contains(", ") || line.split_whitespace().count() < 3 {
-        return line.split(',').map(plain).collect();
-    }
-    line.split_whitespace().map(|cell| plain(&cell.replace(',', "."))).collect()
-}
-
-fn titles(cells: &[String]) -> Option<[usize; 3]> {
-    let column =
-        |names: [&str; 2]| cells.iter().position(|cell| names.iter().any(|name| cell.eq_ignore_ascii_case(name)));
-    Some([column(["red", "r"])?, column(["green", "g"])?, column(["blue", "b"])?])
+    Ok(apart)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Result<Vec<[f64; 3]>> {
-        let file = tempfile::NamedTempFile::new().expect("a file");
-        std::fs::write(file.path(), text).expect("writable");
-        read_colours(file.path())
+    /// Oranges in light of a tenth to all of the sun.
+    fn oranges(count: u32) -> Vec<[f64; 3]> {
+        let one = |i: u32| {
+            let light = (0.1 + 0.9 * f64::from(i % 10) / 9.0).powf(1.0 / 2.2);
+            [0.92 * light, (0.35 + 0.01 * f64::from(i % 7)) * light, (0.05 + 0.01 * f64::from(i % 5)) * light]
+        };
+        (0..count).map(one).collect()
     }
 
     #[test]
-    fn tables_as_people_have_them() {
-        let expected = [[1.0, 0.2, 0.4], [0.6, 0.8, 0.0]];
-        for text in [
-            "255,51,102\n153,204,0\n",
-            "255 51 102\n153 204 0\n",
-            "255, 51, 102\r\n153, 204, 0\r\n",
-            "r;g;b\n255;51;102\n153;204;0\n",
-            "\u{feff}Blue\tGreen\tname\tRed\n102\t51\ta\t255\n0\t204\tb\t153\n",
-            "1;0,2;0,4\n0,6;0,8;0\n",
-            "# from a raw image\n1 0.2 0.4\n\n0.6 0.8 0\n",
-        ] {
-            let found = read(text).unwrap_or_else(|e| panic!("{text}: {e}"));
-            assert_eq!(found.len(), 2, "{text}");
-            for (one, other) in found.iter().flatten().zip(expected.iter().flatten()) {
-                assert!((one - other).abs() < 1e-12, "{text}: {found:?}");
-            }
-        }
-    }
-
-    #[test]
-    fn what_is_no_table_of_colours_is_refused_with_its_row() {
-        for (text, what) in [
-            ("1,2\n", "row 1: 2 values"),
-            ("1,2,3\n4,5,300\n", "row 2: `300`"),
-            ("1,2,3\n4,x,5\n", "row 2: `x`"),
-            ("x,y,z\n1,2,3\n", "row 1: no columns red"),
-        ] {
-            let error = read(text).expect_err(text).to_string();
-            assert!(error.contains(what), "{text}: {error}");
-        }
+    fn rows_that_are_not_the_paint_lie_apart() {
+        let clean = oranges(60);
+        assert_eq!(apart_from_paint(&clean).expect("one paint"), vec![false; 60]);
+        let others = [[0.2, 0.5, 0.15], [0.3, 0.3, 0.9], [0.6, 0.6, 0.62], [0.9, 0.2, 0.7]];
+        let mixed: Vec<[f64; 3]> = clean.iter().copied().chain((0..40).map(|i| others[i % 4])).collect();
+        let apart = apart_from_paint(&mixed).expect("most are paint");
+        assert!(apart.iter().enumerate().all(|(i, apart)| *apart == (i >= 60)), "{apart:?}");
+        let wheel: Vec<[f64; 3]> = (0..64u8).map(|i| [i % 4, i / 4 % 4, i / 16].map(|v| f64::from(v) / 3.0)).collect();
+        let error = apart_from_paint(&wheel).expect_err("no paint").to_string();
+        assert!(error.contains("of 64 colours are of one paint"), "{error}");
+        assert!(apart_from_paint(&[]).expect("nothing").is_empty());
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! A profile taught by examples: marks that somebody points at or outlines, or the paint's colours alone.
 
+mod colour_table;
 mod colours;
 mod example;
 mod statistics;
@@ -17,10 +18,11 @@ use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::ranks::median;
 use autoref_raster::words::counted;
-use autoref_raster::{Patch, SampleType};
+use autoref_raster::{FewBits, Patch, SampleType};
 use example::{Example, example, outlined};
 
-pub use colours::{learn_colours, read_colours};
+pub use colour_table::{ColourTable, ColourValues, read_colours};
+pub use colours::{LIKE_THE_OTHERS, apart_from_paint, learn_colours};
 pub use statistics::{ColourStatistics, SampleStatistics};
 
 /// How far around a position a patch should reach when the size of the marks is not known.
@@ -131,7 +133,11 @@ pub fn learn_with(name: &str, marks: &[(Patch, PixelPoint)], options: &LearnOpti
         .iter()
         .map(|(patch, at)| {
             example(patch, *at).map_err(|why| {
-                Error::usage(format!("the mark at {:.1},{:.1} {why}", at.x, at.y), "point at the middle of a mark")
+                let remedy = match FewBits::of_patch(patch) {
+                    Some(dark) => format!("{dark}; else point at the middle of a mark"),
+                    None => "point at the middle of a mark".into(),
+                };
+                Error::usage(format!("the mark at {:.1},{:.1} {why}", at.x, at.y), remedy)
             })
         })
         .collect::<Result<_>>()?;

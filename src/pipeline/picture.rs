@@ -4,7 +4,7 @@ use std::fmt;
 
 use autoref_raster::error::Result;
 use autoref_raster::window::Window;
-use autoref_raster::{RasterSource, read_patch};
+use autoref_raster::{FewBits, RasterSource, read_patch};
 
 /// Windows looked at along each axis, and their side in pixels.
 const WINDOWS: u64 = 6;
@@ -21,31 +21,23 @@ const BLUISH: f64 = 1.08;
 /// Why paint may be invisible.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Unusual {
-    /// The brightest sample is at most a quarter of what counts as full white.
-    Dark { brightest: u16, white: u16 },
+    Dark(FewBits),
     /// Red, green and blue are alike everywhere.
     Grey,
     /// Nearly everything is bluer than red.
-    Bluish { share: f64 },
+    Bluish {
+        share: f64,
+    },
     /// Share of the pixels that hold nothing.
-    Empty { share: f64 },
-}
-
-impl Unusual {
-    /// The white to try instead.
-    fn better_white(brightest: u16) -> u16 {
-        [255, 1023, 4095, 16_383].into_iter().find(|white| *white >= brightest).unwrap_or(u16::MAX)
-    }
+    Empty {
+        share: f64,
+    },
 }
 
 impl fmt::Display for Unusual {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
-            Unusual::Dark { brightest, white } => write!(
-                f,
-                "the brightest pixel looked at is {brightest} of {white}: if fewer bits are used than the file has, give --white {}",
-                Unusual::better_white(brightest)
-            ),
+            Unusual::Dark(few) => write!(f, "{few}"),
             Unusual::Grey => f.write_str(
                 "the picture is grey, and paint is told by its colour: take the picture in colour, or look for shapes \
                  (--profile black-white-cross, black-white-checker)",
@@ -96,9 +88,7 @@ pub fn unusual(source: &dyn RasterSource) -> Result<Vec<Unusual>> {
         found.push(Unusual::Empty { share: empty });
     }
     if valid >= FEWEST_PIXELS {
-        if u64::from(brightest) * 4 <= u64::from(white) + 3 {
-            found.push(Unusual::Dark { brightest, white });
-        }
+        found.extend(FewBits::of(brightest, white).map(Unusual::Dark));
         if coloured == 0 {
             found.push(Unusual::Grey);
         }
@@ -129,11 +119,11 @@ mod tests {
     fn grey_and_dark_pictures_are_named_with_what_helps() {
         assert_eq!(of(|i| [(i % 251) as u8; 3]), [Unusual::Grey]);
         let dark = of(|i| [(i % 16) as u8, 3, 5]);
-        assert_eq!(dark, [Unusual::Dark { brightest: 15, white: 255 }]);
+        assert_eq!(dark, [Unusual::Dark(FewBits { brightest: 15, white: 255 })]);
         let bgr = of(|i| [60 + (i % 40) as u8, 90, 140 + (i % 30) as u8]);
         assert!(matches!(bgr[..], [Unusual::Bluish { share }] if share == 1.0), "{bgr:?}");
         assert_eq!(of(|i| [140 + (i % 30) as u8, 90, 60 + (i % 40) as u8]), []);
-        let twelve_bits = Unusual::Dark { brightest: 4080, white: 65_535 };
+        let twelve_bits = Unusual::Dark(FewBits { brightest: 4080, white: 65_535 });
         assert!(twelve_bits.to_string().ends_with("--white 4095"), "{twelve_bits}");
     }
 }

@@ -171,6 +171,25 @@ fn a_profile_taught_by_five_marks_finds_the_others() {
     assert!(learn("none", &[]).is_err());
 }
 
+/// 11 bits of a camera in 16 of a file: what helps is said.
+#[test]
+fn a_mark_in_few_of_the_bits_is_refused_with_its_white() {
+    let of = |white: u16| {
+        let window = autoref_raster::window::Window::whole(61, 61);
+        let colour = |i: u64| match (i % 61).abs_diff(30) < 6 && (i / 61).abs_diff(30) < 6 {
+            true => [1900, 700, 200],
+            false => [0u64, 7, 13].map(|band| 600 + ((i * 7919 + band * 31) % 83) as u16),
+        };
+        let patch =
+            autoref_raster::Patch { window, rgb: (0..3721).map(colour).collect(), valid: vec![true; 3721], white };
+        learn("few", &[(patch, PixelPoint { x: 30.5, y: 30.5 })])
+    };
+    let said = of(65_535).expect_err("it does not stand out").to_string();
+    assert!(said.contains("does not stand out"), "{said}");
+    assert!(said.contains("is 1900 of 65535") && said.contains("give --white 4095"), "{said}");
+    assert!(of(2047).is_ok());
+}
+
 /// Marks cut by the image's edge, images of nothing, one colour everywhere: an answer, never a panic.
 #[test]
 fn edges_and_emptiness_are_answered() {

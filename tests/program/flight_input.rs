@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::flight::{Place, autoref, expect, json, said, text};
+use super::flight::{Place, SIDE, autoref, expect, json, said, text};
 use crate::common::data;
 
 fn run(bin: Option<&Path>, words: &[&str]) -> std::process::Output {
@@ -186,8 +186,12 @@ fn micmac_is_run_where_it_is_installed() {
         pp[0], pp[1], size[0], size[1], pp[0], pp[1]
     );
     std::fs::write(prepared.join("AutoCal.xml"), xml).expect("written");
+    // Masks lie beside the frames: MicMac finds them where it runs.
+    std::fs::write(place.at("frames/f2_Masq.tif"), format!("P5\n{SIDE} {SIDE}\n255\n{}", "\u{1}".repeat(SIDE * SIDE)))
+        .expect("written");
     let script = format!(
-        "#!/bin/sh\n[ -n \"$STAND_IN_FAILS\" ] && exit 3\ncase $1 in Campari) [ -f GCP-S3D.xml ] && [ -f f4.png ] && cp -r {} .;; esac\n",
+        "#!/bin/sh\n[ -n \"$STAND_IN_FAILS\" ] && exit 3\ncase $1 in HomolFilterMasq) [ -f f2_Masq.tif ] && [ -f \
+         f3_Masq.tif ] && touch masks;;\nCampari) [ -f masks ] && [ -f GCP-S3D.xml ] && [ -f f4.png ] && cp -r {} .;; esac\n",
         prepared.display()
     );
     std::fs::write(bin.join("mm3d"), script).expect("written");

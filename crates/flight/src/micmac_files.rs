@@ -127,9 +127,26 @@ pub fn points_mmvii(name: &str, points: &[SurveyedPoint], sigma_px: f64) -> Vec<
     files
 }
 
-/// `commands.sh`: the thesis's chain in `mm3d`. `images` is a regular expression, `points` the name given to
-/// [`points_v1`], `masks` whether every image has a `_Masq.tif` beside it.
-pub fn commands(images: &str, points: &str, masks: Masks, sigma_m: f64, sigma_px: f64) -> TextFile {
+/// What the chain of commands depends on.
+#[derive(Clone, Copy, Debug)]
+pub struct Chain<'a> {
+    /// A regular expression that takes the images.
+    pub images: &'a str,
+    /// The name given to [`points_v1`].
+    pub points: &'a str,
+    pub masks: Masks,
+    /// 1σ of the points on the ground, in units of their coordinates.
+    pub sigma_ground: f64,
+    /// 1σ of the points in the images, pixels.
+    pub sigma_px: f64,
+    /// Where the relative orientation starts its principal point, as shares of the image's width and height from its
+    /// upper left corner, which must not be negative; `None` for the middle.
+    pub principal_point: Option<[f64; 2]>,
+}
+
+/// `commands.sh`: the thesis's chain in `mm3d`.
+pub fn commands(chain: &Chain<'_>) -> TextFile {
+    let Chain { images, points, masks, sigma_ground, sigma_px, principal_point } = *chain;
     // Between single quotes a shell takes everything but the quote itself.
     let quoted = format!("'{}'", images.replace('\'', "'\\''"));
     let filter = match masks {
@@ -138,13 +155,14 @@ pub fn commands(images: &str, points: &str, masks: Masks, sigma_m: f64, sigma_px
         }
         Masks::None => "HOMOL=''\n".into(),
     };
+    let start = principal_point.map_or_else(String::new, |[x, y]| format!(" 'PPRel=[{x},{y}]'"));
     let text = format!(
         "#!/bin/sh\n# Relative orientation, GCPs and compensation by MicMac; run it in the folder of the images.\nset -e\n\
          mm3d Tapioca File NameCpleVisib.xml -1\n{filter}\
-         mm3d Tapas FraserBasic {quoted} Out=Relative $HOMOL\n\
+         mm3d Tapas FraserBasic {quoted} Out=Relative{start} $HOMOL\n\
          mm3d AperiCloud {quoted} Relative $HOMOL\n\
          mm3d GCPBascule {quoted} Relative Absolute {points}-S3D.xml {points}-S2D.xml\n\
-         mm3d Campari {quoted} Absolute Compensated GCP=[{points}-S3D.xml,{sigma_m},{points}-S2D.xml,{sigma_px}] $HOMOL\n"
+         mm3d Campari {quoted} Absolute Compensated GCP=[{points}-S3D.xml,{sigma_ground},{points}-S2D.xml,{sigma_px}] $HOMOL\n"
     );
     ("commands.sh".into(), text)
 }
@@ -229,8 +247,14 @@ mod tests {
 
     #[test]
     fn shells_and_xml_take_names_as_they_are() {
-        let (_, script) = commands("it's .*\\.tif", "GCP", Masks::Beside, 25.0, 5.0);
+        let images = "it's .*\\.tif";
+        let (points, masks, principal_point) = ("GCP", Masks::Beside, Some([0.505, 0.5]));
+        let chain = Chain { images, points, masks, sigma_ground: 25.0, sigma_px: 5.0, principal_point };
+        let (_, script) = commands(&chain);
         assert!(script.contains("'it'\\''s .*\\.tif'") && script.contains("MasqFiltered"));
+        assert!(script.contains(" Out=Relative 'PPRel=[0.505,0.5]' $HOMOL\n"), "{script}");
+        let (_, script) = commands(&Chain { principal_point: None, ..chain });
+        assert!(script.contains(" Out=Relative $HOMOL\n"), "{script}");
         let (_, pairs) = image_pairs(&[("a&b.tif".into(), "c.tif".into())]);
         assert!(pairs.contains("<Cple>a&amp;b.tif c.tif</Cple>"));
         let camera = FilmCamera { name: "Zeiss".into(), f_mm: 210.71, size_mm: [180.0, 180.0] };

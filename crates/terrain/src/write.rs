@@ -61,6 +61,18 @@ pub fn mask(path: &Path, mask: &FullMask<'_>, compression: MaskCompression) -> R
     write_rows(path, mask.size, &["NBITS=1", compress], |y, line| rows.row(y, line))
 }
 
+/// Writes `pixels`, row by row of a frame of `size`, as [`mask()`] does: 1 where one is not 0.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn mask_of_bytes(path: &Path, size: [usize; 2], pixels: &[u8]) -> Result<()> {
+    write_rows(path, size, &["NBITS=1", "COMPRESS=CCITTFAX4"], |y, line| {
+        let own = &pixels[y * size[0]..][..size[0]];
+        line.iter_mut().zip(own).for_each(|(bit, value)| *bit = u8::from(*value != 0));
+        Ok(())
+    })
+}
+
 /// Writes values at the reduced scale at the frame's size, 8 bits a pixel.
 ///
 /// # Errors

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use super::{Place, autoref, expect, text};
+use super::{Place, SIDE, autoref, expect, text, write_png};
 
 #[test]
 fn init_writes_what_solve_reads_and_refuses_what_is_not_there() {
@@ -72,4 +72,53 @@ fn export_writes_what_micmac_reads() {
     expect(&export(&[]), 2, &["MicMac-LocalChantierDescripteur.xml", "--overwrite"]);
     expect(&export(&["--overwrite"]), 0, &[]);
     expect(&export(&["--overwrite", "--pixel-mm", "0"]), 2, &["--pixel-mm"]);
+}
+
+/// The values of a mask of the frames' size.
+fn values(path: &Path) -> Vec<u8> {
+    let mask = gdal::Dataset::open(path).expect("a mask");
+    assert_eq!(mask.raster_size(), (SIDE, SIDE));
+    mask.rasterband(1).and_then(|band| band.read_band_as::<u8>()).expect("values").data().to_vec()
+}
+
+#[test]
+fn masks_and_principal_point_reach_micmac() {
+    let place = Place::new();
+    place.five_frames();
+    let project = std::fs::read_to_string(place.init()).expect("there");
+    let project = project.replace("f_px = 500.0", "f_px = 500.0\npp_px = [252.0, 228.0]");
+    let export = |name: &str, masks: &str| {
+        let toml = place.write(&format!("{name}.toml"), &format!("{project}\n[masks]\n{masks}"));
+        autoref(&["flight", "export", text(&toml), "-o", text(&place.at(name)), "--overwrite"], None, &[])
+    };
+    let commands = |name: &str| std::fs::read_to_string(place.at(name).join("commands.sh")).expect("written");
+    let masked: Vec<usize> = vec![0, SIDE * SIDE / 2, SIDE * SIDE - 1];
+    let seen = |name: &str, frame: &str| {
+        let all = values(&place.at(name).join(format!("{frame}_Masq.tif")));
+        assert!(place.at(name).join(format!("{frame}_Masq.xml")).is_file());
+        masked.iter().map(|i| all[*i]).collect::<Vec<u8>>()
+    };
+    // Without masks none are written, and the principal point is where the project has it.
+    expect(&export("none", ""), 0, &[]);
+    assert!(commands("none").contains("HOMOL=''") && commands("none").contains("'PPRel=[0.525,0.475]'"));
+    assert!(!place.at("none").join("f0_Masq.tif").exists());
+    // The mask of all frames and that of one of them, beside it: 255 is as good as 1.
+    let half: Vec<u8> = (0..SIDE * SIDE).map(|i| if i < SIDE * SIDE / 2 { 0 } else { 255 }).collect();
+    let last: Vec<u8> = (0..SIDE * SIDE).map(|i| u8::from(i + 1 < SIDE * SIDE)).collect();
+    write_png(&place.at("border.png"), &half);
+    write_png(&place.at("frames/f1_Masq.tif"), &last);
+    expect(&export("global", "global = \"border.png\""), 0, &[]);
+    assert!(commands("global").contains("mm3d HomolFilterMasq"), "{}", commands("global"));
+    assert_eq!((seen("global", "f0"), seen("global", "f1")), (vec![0, 1, 1], vec![0, 1, 0]));
+    // Of one frame alone: the others have one too, without which MicMac stops, that keeps all.
+    expect(&export("own", ""), 0, &[]);
+    assert!(commands("own").contains("mm3d HomolFilterMasq"));
+    assert_eq!((seen("own", "f0"), seen("own", "f1")), (vec![1, 1, 1], vec![1, 1, 0]));
+    // Into the frames' folder: what lies there already is left as it is.
+    let toml = place.at("own.toml");
+    let beside = ["flight", "export", text(&toml), "-o", text(&place.at("frames")), "--overwrite"].map(String::from);
+    let before = std::fs::read(place.at("frames/f1_Masq.tif")).expect("there");
+    expect(&autoref(&beside.each_ref().map(String::as_str), None, &[]), 0, &[]);
+    assert_eq!(std::fs::read(place.at("frames/f1_Masq.tif")).expect("there"), before);
+    assert!(place.at("frames/f0_Masq.tif").is_file() && !place.at("frames/f1_Masq.xml").exists());
 }

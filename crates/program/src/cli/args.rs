@@ -61,6 +61,11 @@ impl SampleArgs {
         let source = raster::open(image, ReaderChoice::Auto, self.page, cache_bytes)?;
         Ok(raster::with_white(source, self.white)?)
     }
+
+    /// Whether the user said what white is.
+    pub fn names_white(&self) -> bool {
+        self.white.is_some()
+    }
 }
 
 /// The profile of paint where none is named.

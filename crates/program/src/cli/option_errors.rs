@@ -98,8 +98,12 @@ fn is_command(word: &str) -> bool {
     super::everywhere::command().find_subcommand(word).is_some()
 }
 
-/// Numbers are written with a point.
+/// Numbers are written with a point. Where an option takes several, commas divide them.
 fn about_commas(error: &clap::Error) -> String {
+    let takes_several = |option: &str| option.split_once('<').is_some_and(|(_, value)| value.contains(','));
+    if matches!(error.get(ContextKind::InvalidArg), Some(ContextValue::String(option)) if takes_several(option)) {
+        return String::new();
+    }
     match error.get(ContextKind::InvalidValue) {
         Some(ContextValue::String(value)) if value.contains(',') => {
             let pointed = value.trim().replace(',', ".");
@@ -162,10 +166,13 @@ mod tests {
             ("detct a.tif", "`detct` is no command and no image; a similar command exists: detect", "--help"),
             ("gcps f.csv", "unrecognized subcommand 'f.csv'", "autoref-stream gcps --help"),
             ("dem hillshade a.tif -o b.tif --z 1,5", "write 1.5, with a decimal point", "dem hillshade --help"),
+            ("chips a.tif --at=-5,3", "lies outside the image", "chips --help"),
+            ("chips a.tif --at 5,x", "is not X,Y in pixels", "chips --help"),
             ("dem hillshade a.tif -o b.tif --z -1", "is written --z=-1", "dem hillshade --help"),
         ] {
             let (said, help) = refused(line);
             assert!(said.contains(holds), "{line}: {said}");
+            assert!(!line.contains("--at") || !said.contains("decimal point"), "{line}: {said}");
             assert!(!said.contains('\n') && !said.contains("Usage") && !said.contains("error:"), "{line}: {said}");
             assert!(help.ends_with(see), "{line}: {help}");
         }

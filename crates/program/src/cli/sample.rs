@@ -9,10 +9,11 @@ use anyhow::{Context, Result, bail};
 use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::ranks::median;
+use autoref_raster::words::{counted, some_of};
 use autoref_raster::{Patch, RasterSource, ReaderChoice};
 use autoref_stream::learn::{
-    DEFAULT_REACH_PX, LearnOptions, Lesson, RoughRule, SampleStatistics, learn, learn_colours, learn_outlined,
-    learn_with, read_colours,
+    ColourTable, DEFAULT_REACH_PX, LIKE_THE_OTHERS, LearnOptions, Lesson, RoughRule, SampleStatistics,
+    apart_from_paint, learn, learn_colours, learn_outlined, learn_with, read_colours,
 };
 use autoref_stream::profile::Profile;
 use autoref_stream::profile::colour::lab_from_srgb;
@@ -35,7 +36,8 @@ pub struct Args {
     /// georeferenced, else in pixels.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["at", "result", "gcps", "colours"])]
     polygons: Option<PathBuf>,
-    /// Learn from this table of colours instead of an image: red, green, blue of 0 to 1 or 0 to 255, a row each.
+    /// Learn from this table of colours instead of an image: red, green, blue of 0 to 1 or 0 to 255, or #RRGGBB, a row
+    /// each.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["at", "result", "gcps", "image"])]
     colours: Option<PathBuf>,
     /// With --colours: side or diameter of the marks, in pixels (10..14) or metres (0.3m..0.5m).
@@ -104,20 +106,23 @@ struct Learnt {
     lesson: Lesson,
     outside: Vec<String>,
     left_out: Vec<LeftOut>,
+    /// Of a table of colours: what its values were taken for.
+    values: Option<String>,
 }
 
 impl From<Lesson> for Learnt {
     fn from(lesson: Lesson) -> Self {
-        Learnt { lesson, outside: Vec::new(), left_out: Vec::new() }
+        Learnt { lesson, outside: Vec::new(), left_out: Vec::new(), values: None }
     }
 }
 
 pub fn run(args: &Args) -> Result<()> {
     let outputs: Vec<&Path> = [&args.output, &args.html].into_iter().flatten().map(PathBuf::as_path).collect();
     atomic::check_outputs(&outputs, Existing::of_flag(args.overwrite))?;
-    let Learnt { lesson, outside, left_out } = args.learn()?;
-    let statistics = SampleStatistics::new(&lesson.paint);
-    report(&lesson, statistics.as_ref(), &outside, &left_out);
+    let learnt = args.learn()?;
+    let statistics = SampleStatistics::new(&learnt.lesson.paint);
+    report(&learnt, statistics.as_ref());
+    let Learnt { lesson, outside, left_out, values } = learnt;
     let toml = lesson.profile.to_toml();
     let mut transaction = Transaction::new();
     if let Some(path) = &args.output {
@@ -139,6 +144,7 @@ pub fn run(args: &Args) -> Result<()> {
             "statistics": statistics,
             "outside": outside,
             "left_out": left_out,
+            "values": values,
         });
         println!("{}", serde_json::to_string_pretty(&document)?);
     }
@@ -149,8 +155,7 @@ impl Args {
     fn learn(&self) -> Result<Learnt> {
         let options = LearnOptions { rough_box: self.rough_box, density: self.density };
         if let Some(path) = &self.colours {
-            let lesson = learn_colours(&self.name, read_colours(path)?, self.mark_size.of_profile(), &options);
-            return Ok(lesson.with_context(|| path.display().to_string())?.into());
+            return self.of_colours(path, read_colours(path)?, &options).with_context(|| path.display().to_string());
         }
         let image = self.image.as_deref().context("no image: name one, or give --colours FILE")?;
         let source = self.samples.open(image, 64 << 20)?;
@@ -169,6 +174,25 @@ impl Args {
             }
             None => self.pointed(image, source.as_ref(), &options),
         }
+    }
+
+    /// From a table, but for its rows that are not the paint.
+    fn of_colours(&self, path: &Path, table: ColourTable, options: &LearnOptions) -> Result<Learnt> {
+        let ColourTable { colours, rows, values, note } = table;
+        if let Some(note) = note {
+            tracing::warn!("{}: taken for {values}, but {note}", path.display());
+        }
+        let (mut kept, mut left_out) = (Vec::new(), Vec::new());
+        for ((colour, row), apart) in colours.iter().zip(rows).zip(apart_from_paint(&colours)?) {
+            if apart {
+                let reason = format!("is more than {LIKE_THE_OTHERS} units of a*b* from the other colours");
+                left_out.push(LeftOut { name: format!("row {row}"), reason });
+            } else {
+                kept.push(*colour);
+            }
+        }
+        let lesson = learn_colours(&self.name, kept, self.mark_size.of_profile(), options)?;
+        Ok(Learnt { left_out, values: Some(values.to_string()), ..lesson.into() })
     }
 
     /// From marks at positions.
@@ -190,13 +214,9 @@ impl Args {
             );
         }
         let lesson = learn_with(&self.name, &marks, options)?;
-        Ok(Learnt { lesson, outside: found.outside, left_out })
+        Ok(Learnt { left_out, outside: found.outside, ..lesson.into() })
     }
 }
-
-/// Largest distance in a\*b\* of a listed mark's colour from the median of all marks. Paint in shade and sun, fresh and
-/// worn, is within it; a car or a bush over the point is not.
-const LIKE_THE_OTHERS: f64 = 30.0;
 
 /// Largest ratio of a listed mark's side and the median of all marks: of what runs on into a roof of its colour, the
 /// roof is no paint.
@@ -242,12 +262,21 @@ fn sift(marks: Vec<(Patch, Mark)>) -> (Vec<(Patch, PixelPoint)>, Vec<LeftOut>) {
     (kept.into_iter().map(|(patch, mark, _)| (patch, mark.at)).collect(), left_out)
 }
 
-fn report(lesson: &Lesson, statistics: Option<&SampleStatistics>, outside: &[String], left_out: &[LeftOut]) {
+fn report(learnt: &Learnt, statistics: Option<&SampleStatistics>) {
+    let Learnt { lesson, outside, left_out, values } = learnt;
     if !outside.is_empty() {
         eprintln!("outside the image: {}", outside.join(", "));
     }
-    for mark in left_out {
-        eprintln!("{} is left out: {}", mark.name, mark.reason);
+    match values {
+        None => left_out.iter().for_each(|mark| eprintln!("{} is left out: {}", mark.name, mark.reason)),
+        Some(values) => {
+            eprintln!("values taken for {values}");
+            if let Some(first) = left_out.first() {
+                let names: Vec<&str> = left_out.iter().map(|row| row.name.as_str()).collect();
+                let rows = counted(names.len(), "row is", "rows are");
+                tracing::warn!("{rows} left out, as each {}: {}", first.reason, some_of(&names));
+            }
+        }
     }
     if let Some(s) = statistics {
         let figures = |v: [f64; 3], digits: usize| v.map(|v| format!("{v:.digits$}")).join(" ");

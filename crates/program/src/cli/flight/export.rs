@@ -4,18 +4,18 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
-use autoref_flight::micmac_files::{self, FilmCamera, Masks, SurveyedPoint, TextFile};
+use autoref_flight::micmac_files::{self, Chain, FilmCamera, Masks, SurveyedPoint, TextFile};
 use autoref_raster::atomic::{self, Existing};
 use autoref_raster::output_folder::OutputFolder;
 
 use super::project::{OrderedFrames, Project, ordered_frames, point_args, read_project};
 use super::runs;
-use super::{called, check_output, image_size, lists, views, worlds};
+use super::{called, check_output, image_size, lists, worlds};
 
 /// Size of a pixel on the film where none is stated: any will do, MicMac's focal length is in the same millimetres.
 pub const PIXEL_MM: f64 = 0.01;
 
-/// Write a flight as MicMac reads it: camera, pairs, GCPs in the forms of v1 and of MMVII, and a script of its
+/// Write a flight as MicMac reads it: camera, pairs, masks, GCPs in the forms of v1 and of MMVII, and a script of its
 /// commands.
 #[derive(Debug, clap::Args)]
 pub struct ExportArgs {
@@ -40,15 +40,25 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
     let mut flight = ordered_frames(&project, &base)?;
     let list = point_args(&project, &base).map(|points| points.load(None)).transpose()?;
     flight.rows_on_map(&project, &base, list.as_ref())?;
+    let size = image_size(&flight.folder.join(&flight.names[0]), None)?.map(|v| v as usize);
+    for note in flight.masks.leave_out_misfits(&flight.names, size.into())? {
+        eprintln!("warning: {note}");
+    }
     let files = files(&args.project, (&project, &base), &flight, args.pixel_mm)?;
     let _folder = OutputFolder::make(&args.output)?;
     let paths: Vec<PathBuf> = files.iter().map(|(name, _)| args.output.join(name)).collect();
-    for path in &paths {
+    let names: Vec<&str> = flight.names.iter().map(String::as_str).collect();
+    let masks = flight.masks.for_micmac(&names, &args.output);
+    for path in paths.iter().chain(masks.iter().flat_map(|mask| [&mask.mask, &mask.xml])) {
         check_output(Some(path), Existing::of_flag(args.overwrite))?;
     }
     for (path, (_, text)) in paths.iter().zip(&files) {
         atomic::write(path, text.as_bytes())?;
         println!("{}", path.display());
+    }
+    for mask in &masks {
+        flight.masks.write_for_micmac(&flight.folder, mask)?;
+        println!("{}\n{}", mask.mask.display(), mask.xml.display());
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -73,7 +83,6 @@ pub fn files(
     // Alternatives in full: any pattern of the project may take files that are no frames.
     let names: Vec<String> = flight.names.iter().map(|n| escaped(n)).collect();
     let images = format!("({})", names.join("|"));
-    let count = flight.names.len();
     let listed: Vec<&str> = flight.names.iter().map(String::as_str).collect();
     let near = runs::plan(project, &listed, &flight.rows, None).pairs;
     let pairs: Vec<(String, String)> =
@@ -107,12 +116,17 @@ pub fn files(
             .collect();
         files.extend(micmac_files::points_v1("GCP", &points));
         files.extend(micmac_files::points_mmvii("GCP", &points, gcps.sigma_image_px));
-        let beside = views::Masks::new(flight.folder.clone(), None);
-        let masks = if beside.files(&listed).len() == count { Masks::Beside } else { Masks::None };
-        let sigmas = (sigma_ground, gcps.sigma_image_px);
+        let masks = if flight.masks.files(&listed).is_empty() { Masks::None } else { Masks::Beside };
         // Without points in the images there is nothing for them to do.
         if points.iter().any(|p| !p.seen.is_empty()) {
-            files.push(micmac_files::commands(&images, "GCP", masks, sigmas.0, sigmas.1));
+            files.push(micmac_files::commands(&Chain {
+                images: &images,
+                points: "GCP",
+                masks,
+                sigma_ground,
+                sigma_px: gcps.sigma_image_px,
+                principal_point: principal_point(project, size),
+            }));
         } else {
             eprintln!(
                 "autoref-stream: no GCP is measured in an image: no commands for MicMac; name [gcps] observations"
@@ -120,6 +134,21 @@ pub fn files(
         }
     }
     Ok(files)
+}
+
+/// The project's principal point as Tapas takes it: as shares of the frame.
+fn principal_point(project: &Project, size_px: [f64; 2]) -> Option<[f64; 2]> {
+    let pp_px = project.camera.pp_px?;
+    let shares = [0, 1].map(|axis| pp_px[axis] / size_px[axis]);
+    if shares.iter().all(|share| *share >= 0.0) {
+        return Some(shares);
+    }
+    eprintln!(
+        "autoref-stream: camera.pp_px {}, {} lies left of or above the frame, which Tapas takes for none: it starts from \
+         the frame's middle",
+        pp_px[0], pp_px[1]
+    );
+    None
 }
 
 /// A name as a regular expression that takes it alone.

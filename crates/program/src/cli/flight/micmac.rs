@@ -49,13 +49,17 @@ pub fn oriented(
     for (name, text) in export::files(file, (project, base), flight, export::PIXEL_MM)? {
         atomic::write(&folder.join(name), text.as_bytes())?;
     }
-    // MicMac reads frames in its own folder only.
+    // MicMac reads frames and masks in its own folder only.
     for name in &flight.names {
         let (from, to) = (flight.folder.join(name), folder.join(name));
         #[cfg(unix)]
         std::os::unix::fs::symlink(&from, &to).map_err(|e| Error::io(&to, "create", e))?;
         #[cfg(not(unix))]
         std::fs::copy(&from, &to).map_err(|e| Error::io(&to, "create", e))?;
+    }
+    let names: Vec<&str> = flight.names.iter().map(String::as_str).collect();
+    for mask in flight.masks.for_micmac(&names, &folder) {
+        flight.masks.write_for_micmac(&flight.folder, &mask)?;
     }
     let log = out.join("micmac.log");
     autoref_raster::protected::refuse_input(&log)?;

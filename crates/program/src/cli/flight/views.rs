@@ -7,7 +7,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use autoref_flight::grey::{Grey, Layout, even_contrast};
 use autoref_flight::{Error, Pose};
+use autoref_raster::atomic;
+use autoref_raster::protected::same_file;
 use autoref_terrain::smooth;
+use autoref_terrain::write::{mask_of_bytes, micmac_xml};
 use gdal::Dataset;
 use gdal::raster::ResampleAlg;
 
@@ -143,6 +146,44 @@ impl Masks {
         }
         Ok(any)
     }
+
+    /// The masks that MicMac wants in `into`, where any frame has one: one of each frame, since it stops where one is
+    /// missing. Without those that lie there already.
+    pub fn for_micmac(&self, names: &[&str], into: &Path) -> Vec<MicmacMask> {
+        if self.files(names).is_empty() {
+            return Vec::new();
+        }
+        let one = |name: &&str| {
+            let stem = name.rsplit_once('.').map_or(*name, |(stem, _)| stem);
+            let [mask, xml] = ["tif", "xml"].map(|ending| into.join(format!("{stem}_Masq.{ending}")));
+            MicmacMask { frame: (*name).to_string(), mask, xml }
+        };
+        let there = |mask: &MicmacMask| matches!(&self.of(&mask.frame)[..], [one] if same_file(one, &mask.mask));
+        names.iter().map(one).filter(|mask| !there(mask)).collect()
+    }
+
+    /// Writes the masks of a frame as one that MicMac reads, 1 where it may be used, and its description.
+    ///
+    /// # Errors
+    /// As for reading a mask; when one cannot be written.
+    pub fn write_for_micmac(&self, frames: &Path, to: &MicmacMask) -> Result<()> {
+        let path = frames.join(&to.frame);
+        let frame = Dataset::open(&path).with_context(|| format!("{}: cannot be read", path.display()))?;
+        let (width, height) = frame.raster_size();
+        let layout = Layout { width, height, scale: 1.0 };
+        let pixels = self.read(&to.frame, (width, height), &layout)?.unwrap_or_else(|| vec![1; width * height]);
+        let size = [width, height];
+        atomic::with_temporary(&to.mask, |temporary| mask_of_bytes(temporary, size, &pixels))?;
+        let name = to.mask.file_name().unwrap_or_default().to_string_lossy();
+        Ok(atomic::write(&to.xml, micmac_xml(&name, size).as_bytes())?)
+    }
+}
+
+/// Where MicMac reads the mask of a frame.
+pub struct MicmacMask {
+    frame: String,
+    pub mask: PathBuf,
+    pub xml: PathBuf,
 }
 
 /// Which pixels of a frame count.
@@ -221,7 +262,7 @@ fn png(grey: &Grey) -> Result<Vec<u8>> {
 
 /// Writes a frame in grey as a PNG file.
 pub fn write_png(grey: &Grey, path: &Path) -> Result<()> {
-    Ok(autoref_raster::atomic::write(path, &png(grey)?)?)
+    Ok(atomic::write(path, &png(grey)?)?)
 }
 
 /// Frames in grey that are held at once.
