@@ -50,8 +50,8 @@ const LONG_OF_SCALE_PERCENT: u64 = 50;
 /// few marks tell with no work that could be waited for.
 const VERY_LONG: u64 = 500;
 const GROWTH_SHARE: u64 = 3;
-/// Without a scale so many times as much is tried as the best take to be refined: a pattern that could be believed is no
-/// accident of the whole search, and stands among the six best of many more hypotheses.
+/// Without a scale so many times as much is tried as the best take to be refined: a pattern that could be believed is
+/// no accident of the whole search, and stands among the six best of many more hypotheses.
 const TRIED_PER_REFINED: u64 = 4;
 /// How often a rival may take the first place before the last is left there; two so close are refused anyhow.
 const MOST_CHALLENGES: usize = 3;

@@ -131,8 +131,8 @@ mod files {
         }
     }
 
-    /// A detector of all the files of a test, which differ in their layout alone: its tables of colours take longer than
-    /// a scan.
+    /// A detector of all the files of a test, which differ in their layout alone: its tables of colours take longer
+    /// than a scan.
     type Shared = OnceLock<PaintDetector>;
 
     fn list(path: &Path, shared: &Shared, reader: ReaderChoice, tile_px: Option<u64>, threads: usize) -> Vec<u8> {

@@ -272,7 +272,7 @@ impl Solved {
             return None;
         }
         // Where one distance is more than is needed, nothing tells which is wrong.
-        let mut worst: Vec<_> = tested.iter().filter(|t| !(t.0 < 0.99 * off_mm)).collect();
+        let mut worst: Vec<_> = tested.iter().filter(|t| t.0.is_nan() || t.0 >= 0.99 * off_mm).collect();
         worst.sort_by(|a, b| b.0.total_cmp(&a.0));
         let more = if worst.len() > MOST_NAMED { " and others" } else { "" };
         let pairs: Vec<String> = worst
