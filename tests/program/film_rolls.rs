@@ -386,9 +386,7 @@ fn clicks_beside_marks_teach_a_camera() {
         examine(std::slice::from_ref(&scans), &taught, camera, &how).code(0);
         let file = taught.join(format!("{camera}-learned.toml"));
         let way = ["--turn", "0", "--mirrored", "false"];
-        // Three marks leave a reservation.
-        let run = examine(std::slice::from_ref(&scans), &out, file.to_str().expect("plain"), &way);
-        run.code(i32::from(marks == 3));
+        examine(std::slice::from_ref(&scans), &out, file.to_str().expect("plain"), &way).code(0);
         for name in [1, 2].map(|seed| format!("{camera}-{seed}")) {
             let found = frame(&out, &name);
             assert_eq!(found["inner"]["marks"].as_array().map(Vec::len), Some(marks), "{name}: {}", found["status"]);
