@@ -67,9 +67,14 @@ fn odds(pairs: &[Pair], asked: usize, (arm, far): (f64, usize), ground: &Ground<
     let freedom = 2.0 * n - 4.0;
     let left: f64 = others.iter().map(|pair| off_px(&similarity, pair).powi(2)).sum();
     let noise2 = (left / freedom).max(LEAST_NOISE_PX * LEAST_NOISE_PX);
+    let density_of = |variance: f64| {
+        let tail = 1.0 + off_px(&similarity, &pairs[asked]).powi(2) / (freedom * variance);
+        tail.powf(-(freedom + 2.0) / 2.0) / (2.0 * std::f64::consts::PI * variance)
+    };
     let variance = noise2 * (1.0 + 1.0 / n + arm);
-    let tail = 1.0 + off_px(&similarity, &pairs[asked]).powi(2) / (freedom * variance);
-    let density = tail.powf(-(freedom + 2.0) / 2.0) / (2.0 * std::f64::consts::PI * variance);
+    // A point whose stated accuracy is poor may lie farther off; one that lies well is doubted no more for it.
+    let stated_px = pairs[asked].survey_sigma_m.map_or(0.0, |sigma_m| sigma_m / similarity.scale_m_per_px());
+    let density = density_of(variance).max(density_of(variance + stated_px * stated_px));
     let place = similarity.invert(pairs[asked].map);
     Some(share_found(&others, &similarity, far, ground) * density / (ground.density)(place))
 }

@@ -13,6 +13,7 @@ use crate::matching::doubtful::{Ground, doubtful_far};
 use crate::matching::field::Field;
 use crate::matching::{Evidence, Labels, MatchOutcome, Matcher, Priors, RobustMatcher, Solved, TimeLimit};
 use crate::pipeline::asked::Asked;
+use crate::pipeline::beside::{Beside, Neighbourhood, chance_radius_px, density};
 use crate::pipeline::{Progress, ScanOutcome, scan};
 use crate::rematch::{Expected, Free, Refinement, is_inside, one_gcp_each, rematch};
 use autoref_raster::RasterSource;
@@ -42,22 +43,12 @@ impl Job<'_> {
     fn beside(&self) -> Beside {
         let info = self.source.info();
         match self.refine {
-            Refine::Always => Beside::LeaveTheFit {
-                middle: Some(PixelPoint { x: info.width as f64 / 2.0, y: info.height as f64 / 2.0 }),
-            },
+            Refine::Always => {
+                Beside::Weighed { middle: Some(PixelPoint { x: info.width as f64 / 2.0, y: info.height as f64 / 2.0 }) }
+            }
             Refine::Never => Beside::Stay,
         }
     }
-}
-
-/// What becomes of marks beside their points when the others agree closely.
-#[derive(Clone, Copy)]
-enum Beside {
-    LeaveTheFit {
-        /// Of the image, where it is known.
-        middle: Option<PixelPoint>,
-    },
-    Stay,
 }
 
 /// Whether points are looked for again where they must be.
@@ -235,7 +226,7 @@ pub fn solve_candidates(
     match matcher.find(candidates, gcps, &priors.with_mark_sizes(candidates)) {
         MatchOutcome::NoMatch(evidence) => Ok(Outcome::Refused(evidence)),
         MatchOutcome::Solved(solved) => {
-            orient((gcps, candidates), *solved, Beside::LeaveTheFit { middle }, |expected, taken| {
+            orient((gcps, candidates), *solved, Beside::Weighed { middle }, |expected, taken| {
                 let inside = |p: PixelPoint| priors.image_size_px.is_none_or(|size_px| is_inside(p, size_px));
                 let free = Free::among(candidates, taken);
                 Ok(expected
@@ -276,18 +267,18 @@ fn orient(
         .map(|&(candidate, gcp)| FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan })
         .collect();
     let noise_px = evidence.pattern.noise_px;
-    let Some(mut found) = complete(gcps, candidates, &evidence, (matched, noise_px), &look)? else {
+    let Some(mut found) = complete((gcps, candidates), &evidence, (matched, noise_px), beside, &look)? else {
         return Ok(Outcome::Refused(Box::new(degenerate(evidence))));
     };
     let mirrored = evidence.pattern.similarity.mirrored;
     // What stands beside its point may hide the mark that it should be, and has made room for others like it.
-    if let Beside::LeaveTheFit { middle } = beside
+    if let Beside::Weighed { middle } = beside
         && let Some(close) = close_core(&pairs(gcps, &found.control), mirrored, middle)
     {
         let core: Vec<FoundMark> =
             found.control.iter().zip(&close.stays).filter(|(_, stays)| **stays).map(|(mark, _)| mark.clone()).collect();
         let noise_px = noise_px.min(close.noise_px);
-        if let Some(again) = complete(gcps, candidates, &evidence, (core, noise_px), &look)? {
+        if let Some(again) = complete((gcps, candidates), &evidence, (core, noise_px), beside, &look)? {
             found = again;
         }
     }
@@ -307,10 +298,10 @@ fn orient(
 
 /// Looks for the points that have no mark yet where those that have one put them. `None` when these solve nothing.
 fn complete(
-    gcps: &[Gcp],
-    candidates: &[Candidate],
+    (gcps, candidates): (&[Gcp], &[Candidate]),
     evidence: &Solved,
     (matched, noise_px): (Vec<FoundMark>, f64),
+    beside: Beside,
     look: Look<'_>,
 ) -> Result<Option<Marks>> {
     let mirrored = evidence.pattern.similarity.mirrored;
@@ -333,6 +324,7 @@ fn complete(
     });
     let is_paired = |i: &usize| paired.iter().any(|mark| mark.centre == candidates[*i].centre);
     let mut taken: Vec<usize> = (0..candidates.len()).filter(is_paired).chain(kept).collect();
+    let about = Neighbourhood::new(gcps, candidates, &solution, noise_px);
     let mut found = Marks { control: matched, check: Vec::new(), not_found: Vec::new(), outside: Vec::new() };
     for (expected, answer) in expected.iter().zip(answers) {
         let gcp = expected.gcp;
@@ -348,13 +340,12 @@ fn complete(
             }
         };
         let is_check = gcps[gcp].role == GcpRole::Check;
-        let beside = || {
-            let candidate = beside(expected, candidates, &taken, gcps, &solution)?;
+        let off_its_place = || {
+            let candidate = about.mark_of(expected, &taken, beside)?;
             taken.push(candidate);
             Some(FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan })
         };
-        let mark = mark.filter(&may_be);
-        match if is_check { mark.or_else(beside).filter(&may_be) } else { mark } {
+        match mark.filter(&may_be).or_else(off_its_place).filter(&may_be) {
             Some(mark) if is_check => found.check.push(mark),
             Some(mark) => found.control.push(mark),
             None => found.not_found.push(gcp),
@@ -449,49 +440,10 @@ fn expect(gcp: usize, point: &Gcp, solution: &Solution, noise_px: f64, density: 
     const CHANCE: f64 = 0.0002;
     let position = solution.similarity.invert(point.position());
     let fit_px = solution.sigma_at_m(position) / solution.scale_m_per_px;
-    let by_chance_px = (CHANCE / (std::f64::consts::PI * density)).sqrt();
+    let by_chance_px = chance_radius_px(CHANCE, density);
     let sure_px = 3.8 * noise_px * std::f64::consts::SQRT_2;
     let radius_px = (3.8 * noise_px.hypot(fit_px)).min(sure_px.max(by_chance_px)).clamp(2.0, 64.0);
     Expected { gcp, position, radius_px }
-}
-
-/// The mark of a check point that is not where it must be. A test that leaves out what fits badly tests nothing: the
-/// nearest mark that is no other point's is the check point's, unless chance puts one so near.
-fn beside(
-    expected: &Expected,
-    candidates: &[Candidate],
-    taken: &[usize],
-    gcps: &[Gcp],
-    solution: &Solution,
-) -> Option<usize> {
-    /// A candidate of clutter may lie so near with this probability at most.
-    const CHANCE: f64 = 0.01;
-    const FARTHEST_PX: f64 = 64.0;
-    // Marks of other points are no clutter.
-    let clutter =
-        density(candidates) * candidates.len().saturating_sub(taken.len()).max(1) as f64 / candidates.len() as f64;
-    let reach = (CHANCE / (std::f64::consts::PI * clutter)).sqrt().min(FARTHEST_PX);
-    let apart = |c: &Candidate, p: PixelPoint| (c.centre.x - p.x).hypot(c.centre.y - p.y);
-    let (distance, candidate) = (0..candidates.len())
-        .filter(|i| !taken.contains(i))
-        .map(|i| (apart(&candidates[i], expected.position), i))
-        .filter(|(distance, _)| *distance <= reach)
-        .min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let is_nearer = |gcp: &Gcp| apart(&candidates[candidate], solution.similarity.invert(gcp.position())) < distance;
-    let others = gcps.iter().enumerate().filter(|(gcp, _)| *gcp != expected.gcp);
-    (!others.into_iter().any(|(_, gcp)| is_nearer(gcp))).then_some(candidate)
-}
-
-/// Candidates per square pixel of the rectangle that holds them.
-fn density(candidates: &[Candidate]) -> f64 {
-    let span = |of: fn(&Candidate) -> f64| {
-        let ends = candidates
-            .iter()
-            .map(of)
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
-        (ends.1 - ends.0).max(1.0)
-    };
-    candidates.len() as f64 / (span(|c| c.centre.x) * span(|c| c.centre.y))
 }
 
 fn degenerate(evidence: Solved) -> Evidence {

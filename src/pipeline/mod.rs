@@ -30,6 +30,7 @@
 //! ```
 
 pub mod asked;
+mod beside;
 mod bright_paint;
 pub mod colour_search;
 pub mod georeference;

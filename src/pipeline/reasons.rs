@@ -178,7 +178,7 @@ pub fn reasons(
         }
         let taken = |mark: PixelPoint| marks().any(|found| near_each_other(found.mark.centre, mark, side_px));
         if let Some(mark) = beside.first().map(|c| c.centre).filter(|mark| !taken(*mark)) {
-            all.push(beside_its_place(name, at, mark, &orientation.solution));
+            all.push(beside_its_place(&gcps[gcp], at, mark, &orientation.solution));
             continue;
         }
         let off = |mark: &PixelPoint| (mark.x - at.x).hypot(mark.y - at.y);
@@ -290,10 +290,19 @@ fn near_each_other(a: PixelPoint, b: PixelPoint, reach_px: f64) -> bool {
 }
 
 /// A whole mark, no other point's, that was not taken: beside its place, or where the others do not say so surely.
-fn beside_its_place(name: String, at: PixelPoint, mark: PixelPoint, solution: &Solution) -> NotFound {
+fn beside_its_place(gcp: &Gcp, at: PixelPoint, mark: PixelPoint, solution: &Solution) -> NotFound {
     /// Of the deviations of a place so many hold the mark.
     const HOLDING: f64 = 4.0;
-    let (off_px, sigma_px) = ((mark.x - at.x).hypot(mark.y - at.y), solution.sigma_at_m(at) / solution.scale_m_per_px);
+    let (name, off_px) = (gcp.name.clone(), (mark.x - at.x).hypot(mark.y - at.y));
+    let sigma_px = solution.sigma_at_m(at) / solution.scale_m_per_px;
+    let ambiguous =
+        |detail| NotFound { between: vec![name.clone()], ..NotFound::new(name.clone(), Reason::Ambiguous, at, detail) };
+    if let Some(sigma_m) = gcp.sigma_m.filter(|_| off_px * solution.scale_m_per_px <= gcp.reach_m()) {
+        return ambiguous(format!(
+            "a mark lies {off_px:.1} px beside its place, within its stated accuracy (σ {sigma_m:.3} m): its own, or another \
+             as often"
+        ));
+    }
     if off_px > HOLDING * sigma_px.max(1.0) || sigma_px <= 1.0 {
         return displaced(name, at, mark, &solution.similarity);
     }
@@ -301,7 +310,7 @@ fn beside_its_place(name: String, at: PixelPoint, mark: PixelPoint, solution: &S
         "a mark lies {off_px:.1} px beside its place, which the other points give to {sigma_px:.1} px only: its own, or \
          another as often"
     );
-    NotFound { between: vec![name.clone()], ..NotFound::new(name, Reason::Ambiguous, at, detail) }
+    ambiguous(detail)
 }
 
 /// The mark lies whole, but elsewhere than the list has it.

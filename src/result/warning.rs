@@ -6,7 +6,13 @@ use std::fmt;
 #[derive(Clone, Debug, PartialEq)]
 pub enum Warning {
     /// No mark lies where that of a GCP must be, but another one near it.
-    NearMiss { gcp: String, off_px: f64, off_m: f64 },
+    NearMiss {
+        gcp: String,
+        off_px: f64,
+        off_m: f64,
+        /// What the list states of the point, where that explains the distance.
+        within_sigma_m: Option<f64>,
+    },
     /// These fit badly.
     LookAt { points: Vec<String> },
     /// What nothing takes back, in its words.
@@ -35,7 +41,12 @@ impl From<&str> for Warning {
 impl fmt::Display for Warning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Warning::NearMiss { gcp, off_px, off_m } => write!(
+            Warning::NearMiss { gcp, off_px, off_m, within_sigma_m: Some(sigma_m) } => write!(
+                f,
+                "{gcp}: a mark {off_px:.1} px = {off_m:.3} m beside its place lies within its stated accuracy (σ {sigma_m:.3} m): \
+                 perhaps its own, but chance may put another there"
+            ),
+            Warning::NearMiss { gcp, off_px, off_m, within_sigma_m: None } => write!(
                 f,
                 "{gcp}: no mark where it must be, but one {off_px:.1} px = {off_m:.3} m beside it; mark or survey may be \
                  wrong"

@@ -234,6 +234,26 @@ fn a_repair_that_leaves_more_than_the_other_points_do_is_not_offered() {
     }
 }
 
+/// A point that lies as well as its list says was "mended" by a digit of the decimetres.
+#[test]
+fn a_digit_is_not_doubted_within_the_stated_accuracy() {
+    for mut setting in settings(7, 30) {
+        let i = setting.visible[2];
+        let place = setting.truth.invert(setting.gcps[i].position());
+        // Its mark and no other, exactly where it was listed.
+        setting.candidates.retain(|c| (place.x - c.centre.x).hypot(place.y - c.centre.y) > 50.0);
+        setting.candidates.push(bare_candidate(place.x, place.y));
+        let tenths = (setting.gcps[i].northing * 10.0).floor() as i64 % 10;
+        setting.gcps[i].northing += if tenths < 5 { 0.4 } else { -0.4 };
+        for (stated, is_named) in [(None, true), (Some(0.02), true), (Some(0.15), false)] {
+            setting.gcps[i].sigma_m = stated;
+            let (_, told) = setting.ask(&setting.priors(), None, None);
+            let named = told.iter().any(|d| d.gcps.contains(&setting.gcps[i].name));
+            assert_eq!(named, is_named, "{}: {stated:?} {told:?}", setting.what);
+        }
+    }
+}
+
 #[test]
 fn a_wrong_zone_shows_in_the_place_and_in_single_rows() {
     let (zone_32, zone_33) = (Crs::from_epsg(25832).expect("a zone"), Crs::from_epsg(25833).expect("a zone"));

@@ -87,7 +87,7 @@ impl<'a> Rest<'a> {
         let mut rest = Rest { given, pattern, field, density, centre, spread, unexplained: Vec::new() };
         rest.unexplained = (0..given.gcps.len())
             .filter(|g| !pattern.pairs.iter().any(|(_, h)| h == g))
-            .filter(|&g| rest.mark_at(given.gcps[g].position()).is_none())
+            .filter(|&g| rest.mark_at(given.gcps[g].position(), rest.stated_px(g)).is_none())
             .collect();
         Some(rest)
     }
@@ -97,23 +97,45 @@ impl<'a> Rest<'a> {
         self.field.contains(p).then_some(p)
     }
 
-    fn tolerance(&self, p: PixelPoint) -> f64 {
-        tolerance_px(self.pattern.noise_px.max(1.0), self.pattern.pairs.len(), self.centre, self.spread, p)
+    /// How far a point's mark may lie from its place by the point's own stated accuracy, pixels.
+    fn stated_px(&self, gcp: usize) -> f64 {
+        self.given.gcps[gcp].reach_m() / self.pattern.similarity.scale_m_per_px()
     }
 
-    fn mark_at(&self, position: MapPoint) -> Option<Hit> {
+    /// The same where the marks that fit are looked for within `by_others_px`; what is stated alone reaches no farther
+    /// than chance seldom puts a candidate.
+    fn with_stated(&self, by_others_px: f64, stated_px: f64) -> f64 {
+        const CHANCE: f64 = 0.003;
+        let by_chance_px = (CHANCE / (PI * self.density)).sqrt();
+        by_others_px.max(by_others_px.hypot(stated_px).min(by_chance_px))
+    }
+
+    fn tolerance(&self, p: PixelPoint, stated_px: f64) -> f64 {
+        let by_others_px =
+            tolerance_px(self.pattern.noise_px.max(1.0), self.pattern.pairs.len(), self.centre, self.spread, p);
+        self.with_stated(by_others_px, stated_px)
+    }
+
+    fn mark_at(&self, position: MapPoint, stated_px: f64) -> Option<Hit> {
         let p = self.place(position)?;
-        let (index, distance_px) = self.field.nearest(p, self.tolerance(p))?;
+        let (index, distance_px) = self.field.nearest(p, self.tolerance(p, stated_px))?;
         Some(Hit { candidate: self.field.points()[index], distance_px })
     }
 
     /// The mark that a repaired row falls on. It must fit as the other points do: a mark is looked for generously, but
     /// a mistake that is undone leaves nothing over.
-    fn repaired_at(&self, position: MapPoint) -> Option<Hit> {
+    fn repaired_at(&self, position: MapPoint, stated_px: f64) -> Option<Hit> {
         let p = self.place(position)?;
         let deviation_px = self.pattern.deviation_px.max(LEAST_DEVIATION_PX);
         let fits_px = tolerance_px(deviation_px, self.pattern.pairs.len(), self.centre, self.spread, p);
-        self.mark_at(position).filter(|hit| hit.distance_px <= fits_px)
+        self.mark_at(position, stated_px).filter(|hit| hit.distance_px <= self.with_stated(fits_px, stated_px))
+    }
+
+    /// Whether a mark lies no farther from where a point is listed than the stated accuracy allows: then nothing speaks
+    /// for a slip.
+    fn is_within_stated(&self, hit: &Hit, gcp: usize) -> bool {
+        let p = self.pattern.similarity.invert(self.given.gcps[gcp].position());
+        (hit.candidate.x - p.x).hypot(hit.candidate.y - p.y) < self.stated_px(gcp)
     }
 
     /// Chance of a mark that close to a place.
@@ -165,10 +187,10 @@ impl<'a> Rest<'a> {
             let (mut probabilities, mut named) = (Vec::new(), Vec::new());
             for &gcp in &self.unexplained {
                 let Some(p) = self.place(positions[gcp]) else { continue };
-                let radius = self.tolerance(p);
+                let radius = self.tolerance(p, self.stated_px(gcp));
                 let density = self.density.max(self.field.density_near(p));
                 probabilities.push(-(-density * PI * radius * radius).exp_m1());
-                if self.mark_at(positions[gcp]).is_some() {
+                if self.mark_at(positions[gcp], self.stated_px(gcp)).is_some() {
                     named.push(self.name(gcp));
                 }
             }
@@ -206,8 +228,11 @@ impl<'a> Rest<'a> {
                     |east: MapPoint, north: MapPoint| MapPoint { easting: east.easting, northing: north.northing };
                 // Both exchanges put the marks at the same two places; what differs is which row is at which. Names
                 // cannot be seen, so they are one hypothesis.
-                if let (Some(one), Some(other)) = (self.repaired_at(mixed(b, a)), self.repaired_at(mixed(a, b)))
+                let stated_px = self.stated_px(i).max(self.stated_px(j));
+                if let (Some(one), Some(other)) =
+                    (self.repaired_at(mixed(b, a), stated_px), self.repaired_at(mixed(a, b), stated_px))
                     && one.candidate != other.candidate
+                    && ![i, j].iter().any(|&gcp| [&one, &other].iter().any(|hit| self.is_within_stated(hit, gcp)))
                 {
                     // P[product of two uniform numbers ≤ t] = t·(1 − ln t).
                     let product = self.chance(&one) * self.chance(&other);
@@ -258,7 +283,8 @@ impl<'a> Rest<'a> {
                         continue;
                     }
                     tests += 1;
-                    if let Some(hit) = self.repaired_at(position) {
+                    let hit = self.repaired_at(position, self.stated_px(gcp));
+                    if let Some(hit) = hit.filter(|hit| !self.is_within_stated(hit, gcp)) {
                         let what = format!("with {column} {edited:.3} instead of {value:.3} there is a mark");
                         best.push((self.chance(&hit).log10(), gcp, mistake, what));
                     }

@@ -299,8 +299,9 @@ fn near_misses(candidates: &[Candidate], orientation: &Orientation, list: &GcpLi
                 .map(distance)
                 .filter(|d| *d < NEAR_PX)
                 .min_by(f64::total_cmp)?;
-            let name = list.gcps[gcp].name.clone();
-            Some(Warning::NearMiss { gcp: name, off_px, off_m: off_px * solution.scale_m_per_px })
+            let (point, off_m) = (&list.gcps[gcp], off_px * solution.scale_m_per_px);
+            let within_sigma_m = point.sigma_m.filter(|_| off_m <= point.reach_m());
+            Some(Warning::NearMiss { gcp: point.name.clone(), off_px, off_m, within_sigma_m })
         })
         .collect()
 }
