@@ -99,7 +99,8 @@ fn no_file_that_a_command_writes_is_one_that_it_reads() {
         commands += 1;
         let inputs = if all || place < TWO_FILES { case.inputs } else { &case.inputs[..1] };
         for (number, input) in inputs.iter().enumerate() {
-            let in_turn = |index: &usize| all || inputs.len() < written.len() || (index + number) % written.len() == 0;
+            let in_turn =
+                |index: &usize| all || inputs.len() < written.len() || (index + number).is_multiple_of(written.len());
             for (index, target) in written.iter().enumerate().filter(|(index, _)| in_turn(index)) {
                 for hard in [true, false].into_iter().filter(|&hard| all || hard == ((number + index) % 2 == 0)) {
                     std::fs::remove_dir_all(&out).expect("there");

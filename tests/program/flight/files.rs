@@ -105,8 +105,8 @@ fn masks_and_principal_point_reach_micmac() {
     // The mask of all frames and that of one of them, beside it: 255 is as good as 1.
     let half: Vec<u8> = (0..SIDE * SIDE).map(|i| if i < SIDE * SIDE / 2 { 0 } else { 255 }).collect();
     let last: Vec<u8> = (0..SIDE * SIDE).map(|i| u8::from(i + 1 < SIDE * SIDE)).collect();
-    write_png(&place.at("border.png"), &half);
-    write_png(&place.at("frames/f1_Masq.tif"), &last);
+    write_png(&place.at("border.png"), SIDE, &half);
+    write_png(&place.at("frames/f1_Masq.tif"), SIDE, &last);
     expect(&export("global", "global = \"border.png\""), 0, &[]);
     assert!(commands("global").contains("mm3d HomolFilterMasq"), "{}", commands("global"));
     assert_eq!((seen("global", "f0"), seen("global", "f1")), (vec![0, 1, 1], vec![0, 1, 0]));

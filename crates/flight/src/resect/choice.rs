@@ -256,8 +256,8 @@ fn is_covered(best: &Resection, other: &Resection, seen: &[Seen]) -> bool {
         || is_of_other_points(best, other, seen)
 }
 
-/// Whether two alternatives are one pose: each lies within the deviations that are stated of the other. The wide ones of
-/// one alone would hide another that is known well.
+/// Whether two alternatives are one pose: each lies within the deviations that are stated of the other. The wide ones
+/// of one alone would hide another that is known well.
 fn is_one_pose(a: &Resection, b: &Resection, seen: &[Seen]) -> bool {
     let is_one = match (covers(a, b), covers(b, a)) {
         (Some(there), Some(back)) => there && back,
