@@ -53,8 +53,8 @@ pub fn learn_colours(name: &str, colours: Vec<[f64; 3]>, size: Size, options: &L
     Ok(Lesson { profile, paint: colours })
 }
 
-/// Largest distance in a\*b\* of a colour of paint from the middle of the others. Paint in shade and sun, fresh and worn,
-/// is within it; a car or a bush is not.
+/// Largest distance in a\*b\* of a colour of paint from the middle of the others. Paint in shade and sun, fresh and
+/// worn, is within it; a car or a bush is not.
 pub const LIKE_THE_OTHERS: f64 = 30.0;
 /// In less light a colour moves towards L\* = -16, a\* = b\* = 0, by the cube root of the light: to half the way in an
 /// eighth of it.
@@ -66,8 +66,8 @@ fn lies_apart(colour: &Vector3<f64>, middle: &Vector3<f64>) -> bool {
     off(1.0) && off(((colour[0] + 16.0) / (middle[0] + 16.0)).clamp(DEEPEST_SHADE, 1.0))
 }
 
-/// Which of the colours (sRGB 0..=1) lie apart from those of one paint, which most of them must be: the colour that most
-/// are like is sought, then the middle of these, until the same stay.
+/// Which of the colours (sRGB 0..=1) lie apart from those of one paint, which most of them must be: the colour that
+/// most are like is sought, then the middle of these, until the same stay.
 ///
 /// # Errors
 /// [`Error::Usage`] when fewer than half are like each other.

@@ -120,8 +120,8 @@ fn file_names(marks: &[Mark]) -> Vec<String> {
     marks.iter().map(one).collect()
 }
 
-/// What chips of more than 8 bits are drawn with where they use a small part of the range, as those of a report: from the
-/// darkest to the brightest half per cent of what is seen. `None` where white is what the file says.
+/// What chips of more than 8 bits are drawn with where they use a small part of the range, as those of a report: from
+/// the darkest to the brightest half per cent of what is seen. `None` where white is what the file says.
 fn stretch(source: &dyn RasterSource, marks: &[Mark], reach_px: u64) -> Result<Option<Stretch>> {
     let info = source.info();
     if info.sample == SampleType::U8 {
