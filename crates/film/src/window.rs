@@ -107,7 +107,7 @@ pub(super) fn samples_of_rows(info: &RasterInfo) -> usize {
 }
 
 /// Gives every row of a scan as grey samples, from top to bottom; holds 64 rows. Of two samples a pixel
-/// ([`samples_of_rows`]) the second is 0 where the scan holds nothing, else 1.
+/// the second is 0 where the scan holds nothing, else 1.
 ///
 /// # Errors
 /// Those of reading and of `sink`.
@@ -153,7 +153,7 @@ pub fn read_rows(source: &dyn RasterSource, sink: &mut dyn FnMut(&[u16]) -> Resu
     Ok(())
 }
 
-/// A scan held in memory, one band of 8 or 16 bits, and an alpha band where [`samples_of_rows`] are two.
+/// A scan held in memory, one band of 8 or 16 bits, and an alpha band where its rows have two samples a pixel.
 pub struct GreySource {
     info: RasterInfo,
     data: GreyData,
