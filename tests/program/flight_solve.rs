@@ -57,24 +57,7 @@ fn solve_resumes_after_a_failure_and_a_kill_at_every_stage() {
         .output()
         .expect("the program starts");
     expect(&missing, 2, &["`colmap` is not there, nor pycolmap", "apt-get install colmap", "pip install pycolmap"]);
-    // A mask that cannot be this camera's.
-    place.write("mask.pgm", "P5\n1 1\n255\n\u{1}");
-    let masked = std::fs::read_to_string(&toml).expect("there") + "\n[masks]\nglobal = \"mask.pgm\"\n";
-    let masked = place.write("masked.toml", &masked);
-    expect(
-        &autoref(&["flight", "solve", text(&masked), "-o", text(&place.at("masked"))], Some(&bin), &[]),
-        2,
-        &["mask.pgm: the mask has 1 x 1 pixels, the frame f0.png"],
-    );
-    // Masks of other frames than these: one is left out, all of them stop the run.
-    std::fs::create_dir(place.at("masks")).expect("a folder");
-    let masked = std::fs::read_to_string(&toml).expect("there") + "\n[masks]\nfolder = \"masks\"\n";
-    let masked = place.write("others.toml", &masked);
-    let others = || autoref(&["flight", "solve", text(&masked), "-o", text(&place.at("others"))], Some(&bin), &[]);
-    place.write("masks/f0_Masq.tif", "P5\n1 1\n255\n\u{1}");
-    expect(&others(), 0, &["f0_Masq.tif: left out: the mask has 1 x 1 pixels"]);
-    (1..5).for_each(|i| drop(place.write(&format!("masks/f{i}_Masq.tif"), "P5\n1 1\n255\n\u{1}")));
-    expect(&others(), 2, &["masks: none of the 5 masks fits the frames of", "autoref-stream mask"]);
+    masks_that_do_not_fit_are_named(&place, &toml, &bin);
     // A frame that went missing is one frame less, and the stages are worked anew.
     std::fs::remove_file(place.at("frames").join("f4.png")).expect("removed");
     let fewer = solve("whole", &bin, &[]);
@@ -89,6 +72,27 @@ fn solve_resumes_after_a_failure_and_a_kill_at_every_stage() {
         2,
         &["typo.toml", "mask"],
     );
+}
+
+fn masks_that_do_not_fit_are_named(place: &Place, toml: &Path, bin: &Path) {
+    // A mask that cannot be this camera's.
+    place.write("mask.pgm", "P5\n1 1\n255\n\u{1}");
+    let masked = std::fs::read_to_string(toml).expect("there") + "\n[masks]\nglobal = \"mask.pgm\"\n";
+    let masked = place.write("masked.toml", &masked);
+    expect(
+        &autoref(&["flight", "solve", text(&masked), "-o", text(&place.at("masked"))], Some(bin), &[]),
+        2,
+        &["mask.pgm: the mask has 1 x 1 pixels, the frame f0.png"],
+    );
+    // Masks of other frames than these: one is left out, all of them stop the run.
+    std::fs::create_dir(place.at("masks")).expect("a folder");
+    let masked = std::fs::read_to_string(toml).expect("there") + "\n[masks]\nfolder = \"masks\"\n";
+    let masked = place.write("others.toml", &masked);
+    let others = || autoref(&["flight", "solve", text(&masked), "-o", text(&place.at("others"))], Some(bin), &[]);
+    place.write("masks/f0_Masq.tif", "P5\n1 1\n255\n\u{1}");
+    expect(&others(), 0, &["f0_Masq.tif: left out: the mask has 1 x 1 pixels"]);
+    (1..5).for_each(|i| drop(place.write(&format!("masks/f{i}_Masq.tif"), "P5\n1 1\n255\n\u{1}")));
+    expect(&others(), 2, &["masks: none of the 5 masks fits the frames of", "autoref-stream mask"]);
 }
 
 /// Nothing of a run that was killed goes on beside the next one.

@@ -51,19 +51,14 @@ const COLOUR: &str = "[colour]\nlimit = 3.0\n[[colour.clouds]]\nmean = [50.0, 40
                       covariance = [[90.0, 0.0, 0.0], [0.0, 80.0, 0.0], [0.0, 0.0, 90.0]]\n";
 const SIZE: &str = "[size]\nmin_px = 5.0\nmax_px = 30.0\n";
 
-#[test]
-fn bad_profiles_are_refused_in_one_line() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let image = folder.path().join("image.tif");
-    picture(&image, (60, 60), 3, None, |_, _| GROUND);
-    let sound = format!("name = \"x\"\n{COLOUR}{SIZE}");
+/// What is in the file, and a word that the message must have.
+fn broken_profiles(sound: &str) -> Vec<(String, &'static str)> {
     let swapped = |from: &str, to: &str| {
         assert!(sound.contains(from), "{from}");
         sound.replace(from, to)
     };
     let with = |extra: &str| format!("{sound}{extra}\n");
-    // What is in the file, and a word that the message must have.
-    let cases: Vec<(String, &str)> = vec![
+    vec![
         (String::new(), "name"),
         (swapped("name = \"x\"\n", ""), "name"),
         (format!("name = \"x\"\n{COLOUR}"), "size"),
@@ -112,7 +107,16 @@ fn bad_profiles_are_refused_in_one_line() {
         ),
         ("<profile/>".into(), "line 1"),
         ("name = \"x\n".into(), "line 1"),
-    ];
+    ]
+}
+
+#[test]
+fn bad_profiles_are_refused_in_one_line() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let image = folder.path().join("image.tif");
+    picture(&image, (60, 60), 3, None, |_, _| GROUND);
+    let sound = format!("name = \"x\"\n{COLOUR}{SIZE}");
+    let cases = broken_profiles(&sound);
     let path = folder.path().join("profile.toml");
     let refused = |words: &[&str], what: &str| {
         let output = autoref(&["detect", text(&image), "--profile", text(&path)]);
