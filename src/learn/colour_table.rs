@@ -58,7 +58,7 @@ enum Columns {
 /// Reads a table of colours: red, green, blue a row, of 0 to 1 or of 0 to 255, or `#RRGGBB`, with or without titles;
 /// commas, semicolons, tabs or spaces between; in any encoding that a list may have. With titles, the columns named
 /// red/r, green/g, blue/b are taken, or that named hex, or L, a, b (L*, a*, b*). A table is of 0 to 1 when no value in
-/// it is above 1.
+/// it is above 1, but for what reckoning adds.
 ///
 /// # Errors
 /// [`Error::Format`] naming the row that is no colour; [`Error::Limit`] above four million rows.
@@ -67,17 +67,18 @@ pub fn read_colours(path: &Path) -> Result<ColourTable> {
     let text = decode(&bytes).ok_or_else(|| Error::format(path, "row 1", "is no table of text"))?;
     let (mut colours, mut rows): (Vec<[f64; 3]>, Vec<usize>) = Default::default();
     let mut titled = false;
-    let mut columns = None;
+    let (mut columns, mut divider) = (None, None);
     for (index, line) in text.lines().enumerate() {
         let line = line.trim_start_matches('\u{feff}').trim();
         let wrong = |what: String| Error::format(path, format!("row {}", index + 1), what);
-        let cells = cells(line);
-        let begins_with_colour = cells.first().is_some_and(|cell| srgb_of_hex(cell).is_some());
+        let first = line.split([',', ';', '\t', ' ']).next().map(plain);
+        let begins_with_colour = first.is_some_and(|cell| srgb_of_hex(&cell).is_some());
         // Of hexadecimal colours one with a slip begins as a comment does.
         let comment = if matches!(columns, Some(Columns::Hex(_))) { "# " } else { "#" };
         if line.is_empty() || (line.starts_with(comment) && !begins_with_colour) {
             continue;
         }
+        let cells = cells(line, *divider.get_or_insert_with(|| Divider::of(line)));
         let is_title = |cell: &String| cell.parse::<f64>().is_err() && srgb_of_hex(cell).is_none();
         if columns.is_none() && cells.iter().all(is_title) {
             columns = Some(titles(&cells).ok_or_else(|| wrong(unknown_titles(&cells)))?);
@@ -105,13 +106,16 @@ pub fn read_colours(path: &Path) -> Result<ColourTable> {
     Ok(scaled(colours, rows, columns))
 }
 
+/// Shares of one that were reckoned may come out so large; of bytes no table of a paint is as dark.
+const A_LITTLE_ABOVE_ONE: f64 = 1.5;
+
 /// The table with its colours as sRGB 0..=1.
 fn scaled(mut colours: Vec<[f64; 3]>, rows: Vec<usize>, columns: Option<Columns>) -> ColourTable {
     let mut all = colours.iter().flatten();
     let (values, by) = match columns {
         Some(Columns::Hex(_)) => (ColourValues::Hex, 255.0),
         Some(Columns::Lab(_)) => (ColourValues::Lab, 1.0),
-        _ if all.any(|v| *v > 1.0) => (ColourValues::Bytes, 255.0),
+        _ if all.any(|v| *v > A_LITTLE_ABOVE_ONE) => (ColourValues::Bytes, 255.0),
         _ => (ColourValues::Unit, 1.0),
     };
     // Samples of 8 bits have no fractions, and marks in the sun reach beyond 100.
@@ -121,7 +125,7 @@ fn scaled(mut colours: Vec<[f64; 3]>, rows: Vec<usize>, columns: Option<Columns>
     let note = like_shares.then_some(
         "the values have fractions and none is above 100, as percentages have: of these, give hundredths (0 to 1)",
     );
-    colours.iter_mut().flatten().for_each(|v| *v /= by);
+    colours.iter_mut().flatten().for_each(|v| *v = (*v / by).min(1.0));
     ColourTable { colours, rows, values, note }
 }
 
@@ -159,19 +163,38 @@ fn colour(cells: &[String], columns: Columns, titled: bool) -> std::result::Resu
     }
 }
 
-/// What stands between commas, semicolons, tabs or spaces. A decimal comma is one where semicolons, tabs or spaces
-/// divide.
-fn cells(line: &str) -> Vec<String> {
-    let plain = |cell: &str| cell.trim().trim_matches('"').to_owned();
-    for divider in [';', '\t'] {
-        if line.contains(divider) {
-            return line.split(divider).map(|cell| plain(&cell.replace(',', "."))).collect();
+/// What divides the cells of a table: that of its first row.
+#[derive(Clone, Copy)]
+enum Divider {
+    Character(char),
+    Blanks,
+}
+
+impl Divider {
+    fn of(line: &str) -> Divider {
+        let words = || line.split_whitespace();
+        // Commas among blanks are decimal ones where every word is a number with them.
+        let is_number = |word: &str| plain(&word.replace(',', ".")).parse::<f64>().is_ok();
+        match [';', '\t'].into_iter().find(|divider| line.contains(*divider)) {
+            Some(divider) => Divider::Character(divider),
+            None if line.contains(',') && !(words().count() >= 3 && words().all(is_number)) => Divider::Character(','),
+            None if words().count() >= 3 => Divider::Blanks,
+            None => Divider::Character(','),
         }
     }
-    if line.contains(", ") || line.split_whitespace().count() < 3 {
-        return line.split(',').map(plain).collect();
+}
+
+fn plain(cell: &str) -> String {
+    cell.trim().trim_matches('"').to_owned()
+}
+
+/// What stands between the dividers. A decimal comma is one where semicolons, tabs or blanks divide.
+fn cells(line: &str, divider: Divider) -> Vec<String> {
+    match divider {
+        Divider::Character(',') => line.split(',').map(plain).collect(),
+        Divider::Character(divider) => line.split(divider).map(|cell| plain(&cell.replace(',', "."))).collect(),
+        Divider::Blanks => line.split_whitespace().map(|cell| plain(&cell.replace(',', "."))).collect(),
     }
-    line.split_whitespace().map(|cell| plain(&cell.replace(',', "."))).collect()
 }
 
 fn titles(cells: &[String]) -> Option<Columns> {
@@ -218,6 +241,10 @@ mod tests {
             ("255,51,102\n153,204,0\n", ColourValues::Bytes),
             ("255 51 102\n153 204 0\n", ColourValues::Bytes),
             ("255, 51, 102\r\n153, 204, 0\r\n", ColourValues::Bytes),
+            ("255 ,51 ,102\n153 ,204 ,0\n", ColourValues::Bytes),
+            ("name,r,g,b\nroof mark 3,255,51,102\nb,153,204,0\n", ColourValues::Bytes),
+            ("1.0000001,0.2,0.4\n0.6,0.8,0\n", ColourValues::Unit),
+            ("1 0,2 0,4\n0,6 0,8 0\n", ColourValues::Unit),
             ("r;g;b\n255;51;102\n153;204;0\n", ColourValues::Bytes),
             ("\u{feff}Blue\tGreen\tname\tRed\n102\t51\ta\t255\n0\t204\tb\t153\n", ColourValues::Bytes),
             ("1;0,2;0,4\n0,6;0,8;0\n", ColourValues::Unit),

@@ -77,7 +77,12 @@ pub fn apart_from_paint(colours: &[[f64; 3]]) -> Result<Vec<bool>> {
     const COMPARED: usize = 3000;
     const ROUNDS: usize = 20;
     let lab: Vec<Vector3<f64>> = colours.iter().map(|c| lab_from_srgb(*c)).collect();
-    let some = |most: usize| lab.iter().step_by(lab.len().div_ceil(most).max(1));
+    // Evenly strewn: rows may come in turns.
+    let mut order: Vec<usize> = (0..lab.len()).collect();
+    if lab.len() > TRIED {
+        order.sort_by_key(|i| (*i as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+    }
+    let some = |most: usize| order.iter().take(most).map(|i| &lab[*i]);
     let like = |middle: &Vector3<f64>| some(COMPARED).filter(|colour| !lies_apart(colour, middle)).count();
     // The first of equals, so that the order of the table alone decides.
     let Some(start) = some(TRIED).rev().max_by_key(|middle| like(middle)) else { return Ok(Vec::new()) };

@@ -3,11 +3,12 @@
 
 use std::cell::OnceCell;
 
-use crate::candidate::Candidate;
+use crate::candidate::{Candidate, least_whole_area_px};
 use crate::gcp::{Gcp, GcpRole};
 use crate::matching::field::Field;
 use crate::rematch::Expected;
 use autoref_raster::coords::PixelPoint;
+use autoref_raster::ranks::upper_median;
 use autoref_solve::Solution;
 
 /// What becomes of marks beside their points: when the others agree closely, and when the list calls a point unsure.
@@ -28,18 +29,61 @@ pub(super) struct Neighbourhood<'a> {
     solution: &'a Solution,
     /// Deviation of the marks that fit, pixels.
     noise_px: f64,
+    /// How good these are.
+    marks: Good,
     /// Candidates that no point has, made when the first is asked for.
     free: OnceCell<Field>,
 }
 
+/// A GCP, by index, and its mark.
+type Placed<'m> = (usize, &'m Candidate);
+
+/// How good the marks are that fit.
+struct Good {
+    /// How far their points lie off in stated deviations: 1 where these are true, less where they are too large.
+    share_of_stated: f64,
+    /// Those of the least of them.
+    worst_score: Option<f64>,
+    least_area_px: f64,
+}
+
+impl Good {
+    fn of(marks: &[Placed<'_>], gcps: &[Gcp], solution: &Solution) -> Good {
+        /// Squares of two-dimensional normal errors are above so many of their variances as often as below.
+        const MEDIAN: f64 = 2.0 * std::f64::consts::LN_2;
+        /// What the median of few may be too small by.
+        const FEW: f64 = 2.0;
+        let square = |&(gcp, mark): &Placed<'_>| {
+            let stated_px = gcps[gcp].sigma_m.filter(|sigma| *sigma > 0.0)? / solution.scale_m_per_px;
+            let at = solution.similarity.invert(gcps[gcp].position());
+            let off_px = (mark.centre.x - at.x).hypot(mark.centre.y - at.y);
+            Some((off_px / stated_px).powi(2))
+        };
+        let mut squares: Vec<f64> = marks.iter().filter_map(square).collect();
+        let share = upper_median(&mut squares).map_or(1.0, |median| FEW * (median / MEDIAN).sqrt());
+        Good {
+            share_of_stated: share.min(1.0),
+            worst_score: marks.iter().filter_map(|mark| mark.1.score).min_by(f64::total_cmp),
+            least_area_px: least_whole_area_px(marks.iter().map(|mark| mark.1)),
+        }
+    }
+
+    /// Whether a candidate is as good as the least of them, and no part of a mark.
+    fn has(&self, candidate: &Candidate) -> bool {
+        let is_good = self.worst_score.is_none_or(|worst| candidate.score.is_none_or(|score| score >= worst));
+        is_good && candidate.area_px.is_none_or(|area| area >= self.least_area_px)
+    }
+}
+
 impl<'a> Neighbourhood<'a> {
+    /// About the places that `solution` gives points, which is that of `marks`.
     pub(super) fn new(
-        gcps: &'a [Gcp],
-        candidates: &'a [Candidate],
-        solution: &'a Solution,
+        (gcps, candidates): (&'a [Gcp], &'a [Candidate]),
+        (solution, marks): (&'a Solution, &[Placed<'_>]),
         noise_px: f64,
     ) -> Neighbourhood<'a> {
-        Neighbourhood { gcps, candidates, solution, noise_px, free: OnceCell::new() }
+        let marks = Good::of(marks, gcps, solution);
+        Neighbourhood { gcps, candidates, solution, noise_px, marks, free: OnceCell::new() }
     }
 
     /// Index of the candidate that is a point's mark though it is not where it must be.
@@ -64,12 +108,13 @@ impl<'a> Neighbourhood<'a> {
     }
 
     /// The mark of a control point whose stated accuracy lets it lie farther from its place than the others do, unless
-    /// chance puts one so near. The evidence for the pattern is weighed already, without it.
+    /// chance puts one so near, or the others show that the list states too much. The evidence for the pattern is
+    /// weighed already, without it.
     fn within_stated(&self, expected: &Expected, taken: &[usize]) -> Option<usize> {
         /// As in the search: nobody is taken whom chance would put there more often.
         const CHANCE: f64 = 0.003;
         let scale = self.solution.scale_m_per_px;
-        let stated_px = self.gcps[expected.gcp].reach_m() / scale;
+        let stated_px = self.marks.share_of_stated * self.gcps[expected.gcp].reach_m() / scale;
         if stated_px <= 0.0 {
             return None;
         }
@@ -77,19 +122,20 @@ impl<'a> Neighbourhood<'a> {
         let clutter = self.free(taken).density_near(expected.position);
         let reach_px = (Gcp::REACH * self.noise_px.hypot(fit_px)).hypot(stated_px);
         let reach_px = reach_px.min(chance_radius_px(CHANCE, clutter));
-        let is_known = |candidate: usize| {
-            self.candidates[candidate].covariance_px2.is_none_or(|[xx, _, yy]| xx.max(yy) <= reach_px * reach_px)
+        let is_known = |candidate: &Candidate| {
+            candidate.covariance_px2.is_none_or(|[xx, _, yy]| xx.max(yy) <= reach_px * reach_px)
         };
-        self.nearest_free(expected, reach_px, taken).filter(|candidate| is_known(*candidate))
+        let candidate = self.nearest_free(expected, reach_px, taken)?;
+        let mark = &self.candidates[candidate];
+        (is_known(mark) && self.marks.has(mark)).then_some(candidate)
     }
 
     /// The nearest candidate within reach that no point has, when it is no nearer to another point's place.
     fn nearest_free(&self, expected: &Expected, reach_px: f64, taken: &[usize]) -> Option<usize> {
         let apart = |c: &Candidate, p: PixelPoint| (c.centre.x - p.x).hypot(c.centre.y - p.y);
         let (distance, candidate) = (0..self.candidates.len())
-            .filter(|i| !taken.contains(i))
             .map(|i| (apart(&self.candidates[i], expected.position), i))
-            .filter(|(distance, _)| *distance <= reach_px)
+            .filter(|(distance, i)| *distance <= reach_px && !taken.contains(i))
             .min_by(|a, b| a.0.total_cmp(&b.0))?;
         let place = |gcp: &Gcp| self.solution.similarity.invert(gcp.position());
         let is_nearer = |gcp: &Gcp| apart(&self.candidates[candidate], place(gcp)) < distance;

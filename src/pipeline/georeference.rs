@@ -324,7 +324,8 @@ fn complete(
     });
     let is_paired = |i: &usize| paired.iter().any(|mark| mark.centre == candidates[*i].centre);
     let mut taken: Vec<usize> = (0..candidates.len()).filter(is_paired).chain(kept).collect();
-    let about = Neighbourhood::new(gcps, candidates, &solution, noise_px);
+    let placed: Vec<(usize, &Candidate)> = matched.iter().map(|found| (found.gcp, &found.mark)).collect();
+    let about = Neighbourhood::new((gcps, candidates), (&solution, &placed), noise_px);
     let mut found = Marks { control: matched, check: Vec::new(), not_found: Vec::new(), outside: Vec::new() };
     for (expected, answer) in expected.iter().zip(answers) {
         let gcp = expected.gcp;
@@ -342,10 +343,13 @@ fn complete(
         let is_check = gcps[gcp].role == GcpRole::Check;
         let off_its_place = || {
             let candidate = about.mark_of(expected, &taken, beside)?;
-            taken.push(candidate);
-            Some(FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan })
+            let mark = FoundMark { gcp, mark: candidates[candidate].clone(), found_by: FoundBy::Scan };
+            may_be(&mark).then(|| {
+                taken.push(candidate);
+                mark
+            })
         };
-        match mark.filter(&may_be).or_else(off_its_place).filter(&may_be) {
+        match mark.filter(&may_be).or_else(off_its_place) {
             Some(mark) if is_check => found.check.push(mark),
             Some(mark) => found.control.push(mark),
             None => found.not_found.push(gcp),

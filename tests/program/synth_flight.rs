@@ -232,7 +232,7 @@ fn scans_of_film_become_the_frames_that_were_rendered() {
     let (film, plain, camera) =
         (folder.path().join("film"), folder.path().join("plain"), folder.path().join("coarse.toml"));
     std::fs::write(&camera, COARSE_FILM).expect("writable");
-    let frames = if crate::common::large() { "5" } else { "1" };
+    let frames = if crate::common::large() { "5" } else { "2" };
     let common = ["--frames", frames, "--samples", "1", "--points", "8,4", "--grain", "1", "--seed", "3"];
     let run = |args: &[&str]| {
         let output = autoref(args);

@@ -104,7 +104,7 @@ fn an_input_that_cannot_be_read_to_its_end_is_named() {
         let all = case.inputs.iter().enumerate().flat_map(|input| READINGS.iter().enumerate().map(move |r| (input, r)));
         for ((number, input), (turn, reading)) in all {
             // Bad sectors and an early end, each sooner or later in turn.
-            if !large() && (at + number + turn) % 2 == 1 {
+            if !large() && (at + number + [0, 1, 1, 0][turn]) % 2 == 1 {
                 continue;
             }
             empty(&out);

@@ -51,6 +51,13 @@ struct FrameFile {
 }
 
 impl FrameFile {
+    /// Where the scan is now.
+    fn is_at(&mut self, scan: &Path) {
+        for result in self.alone.iter_mut().chain([&mut self.result]) {
+            result.path = scan.to_path_buf();
+        }
+    }
+
     fn by_itself(&self) -> &FrameResult {
         self.alone.as_ref().unwrap_or(&self.result)
     }
@@ -118,8 +125,13 @@ pub fn run(
             let file = frame_json(folder, scan);
             let now = inputs(scan, finder, options, fingerprint::program());
             let before = read_file(&file).ok().filter(|f| now.as_deref() == Some(f.inputs.as_str()));
-            let content = if let Some(before) = before {
+            let content = if let Some(mut before) = before {
                 resumed.fetch_add(1, Ordering::Relaxed);
+                if before.result.path != *scan {
+                    // The roll was moved, or is named from another folder.
+                    before.is_at(scan);
+                    before.write(&file)?;
+                }
                 before
             } else {
                 let result = find_frame(finder, scan, options);

@@ -23,6 +23,7 @@ use self::astray::Astray;
 pub(crate) use self::datum::by_poses;
 use self::datum::placing;
 pub use self::datum::{OnGround, on_ground};
+use self::offset::Testable;
 pub use self::options::{AdjustOptions, RoughPose, TiesFrom};
 use self::outcome::End;
 use self::positions::Aside;
@@ -116,17 +117,25 @@ struct Block<'a> {
 impl Block<'_> {
     /// Adjusts with the positions as they stand, and where GCPs then seem to contradict them, with an offset of all.
     fn standing(&self, problem: Problem) -> Result<Standing> {
-        if !offset::is_testable(&problem, self.control) {
+        let testable = offset::testable(&problem, self.control);
+        if testable == Testable::No {
             return self.adjusted(problem);
         }
-        let as_stated = self.adjusted(problem.clone());
+        let mut as_stated = self.adjusted(problem.clone());
         if as_stated.as_ref().is_ok_and(offset::is_doubtless) {
             return as_stated;
         }
-        match self.adjusted(offset::freed(problem)) {
-            Ok(apart) if offset::is_borne_out(&apart, as_stated.as_ref().ok()) => Ok(apart),
-            _ => as_stated,
+        let Ok(apart) = self.adjusted(offset::freed(problem)) else { return as_stated };
+        if !offset::is_borne_out(&apart, as_stated.as_ref().ok()) {
+            return as_stated;
         }
+        if testable == Testable::Offset {
+            return Ok(apart);
+        }
+        if let Ok(standing) = &mut as_stated {
+            standing.notes.extend(offset::doubt(&apart));
+        }
+        as_stated
     }
 
     /// First everything may be wrong; then the ties' own accuracy is the unit; then GCPs count in full and are tested.

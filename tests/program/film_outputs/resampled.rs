@@ -97,14 +97,15 @@ fn resampled_frames_are_masked_kept_and_never_replaced_in_silence() {
     let before = time(&image);
     roll.fiducials(&common, 0);
     assert_eq!(time(&image), before, "what is done is kept");
-    // The scan was changed since, another pixel size, and somebody's own file.
+    // The scan was changed since: its frame is made again. Another pixel size, and somebody's own file are refused.
     let scan = std::fs::File::options().append(true).open(roll.scans().join(format!("{name}.tif"))).expect("a scan");
     let unchanged = scan.metadata().and_then(|m| m.modified()).expect("a time");
     scan.set_modified(unchanged + std::time::Duration::from_secs(7)).expect("writable");
-    let said = roll.fiducials(&common, 2);
-    assert!(said.contains("resampled.tif exists and was made otherwise (scan); give --overwrite"), "{said}");
-    assert_eq!(time(&image), before);
+    roll.fiducials(&common, 0);
+    assert_ne!(std::fs::read(&image).expect("there"), made, "the description says of which scan it is");
     scan.set_modified(unchanged).expect("writable");
+    roll.fiducials(&common, 0);
+    assert_eq!(std::fs::read(&image).expect("there"), made);
     let said = roll.fiducials(&["--resample", "--resample-mm", "0.2"], 2);
     assert!(
         said.contains("resampled.tif") && said.contains("--overwrite") && said.trim_end().lines().count() == 1,

@@ -114,11 +114,14 @@ fn masks_and_principal_point_reach_micmac() {
     expect(&export("own", ""), 0, &[]);
     assert!(commands("own").contains("mm3d HomolFilterMasq"));
     assert_eq!((seen("own", "f0"), seen("own", "f1")), (vec![1, 1, 1], vec![1, 1, 0]));
-    // Into the frames' folder: what lies there already is left as it is.
-    let toml = place.at("own.toml");
-    let beside = ["flight", "export", text(&toml), "-o", text(&place.at("frames")), "--overwrite"].map(String::from);
+    // Into the frames' folder: what lies there already is left as it is, and what is joined would count as theirs.
+    let beside = |toml: &str| {
+        let toml = place.at(toml);
+        autoref(&["flight", "export", text(&toml), "-o", text(&place.at("frames")), "--overwrite"], None, &[])
+    };
     let before = std::fs::read(place.at("frames/f1_Masq.tif")).expect("there");
-    expect(&autoref(&beside.each_ref().map(String::as_str), None, &[]), 0, &[]);
+    expect(&beside("global.toml"), 2, &["frames: what is joined with", "border.png", "name another folder"]);
+    expect(&beside("own.toml"), 0, &[]);
     assert_eq!(std::fs::read(place.at("frames/f1_Masq.tif")).expect("there"), before);
     assert!(place.at("frames/f0_Masq.tif").is_file() && !place.at("frames/f1_Masq.xml").exists());
 }

@@ -13,6 +13,8 @@ use autoref_raster::error::{Error, Result};
 /// are 1 to 10 µm.
 const TOLD_MM: f64 = 0.02;
 const REFUSED_MM: f64 = 0.1;
+/// The same where every mark has coordinates: the distances only check them, and may be given to a tenth.
+const REFUSED_BESIDE_COORDINATES_MM: f64 = 0.5;
 /// A mark whose place is so many times worse than the distances are is not fixed by them: 5 µm leave it 0.15 mm.
 const LOOSE: f64 = 30.0;
 /// A distance that others hardly check has no contradiction to show.
@@ -39,7 +41,9 @@ pub(super) fn settle(camera: &mut Camera, path: &Path) -> Result<()> {
     }
     if let Some((off_mm, pairs)) = solved.contradictions(&figure, camera) {
         let what = format!("do not agree: compare {pairs} with the certificate");
-        if off_mm > REFUSED_MM || !off_mm.is_finite() {
+        let only_checks = figure.unknown.iter().all(Option::is_none);
+        let refused_mm = if only_checks { REFUSED_BESIDE_COORDINATES_MM } else { REFUSED_MM };
+        if off_mm > refused_mm || !off_mm.is_finite() {
             return Err(Error::format(path, "distances_mm", what));
         }
         tracing::warn!("{}: distances_mm: {what}", path.display());
@@ -367,7 +371,7 @@ mod tests {
             (&[][..], (0, 2), 0.6),
             (&[], (0, 1), 0.4),
             (&[0, 1, 2, 3], (0, 2), 5.0),
-            (&[0, 1, 2, 3], (2, 3), 0.12),
+            (&[0, 1, 2, 3], (2, 3), 0.7),
             (&[0, 1, 2], (3, 0), 0.3),
         ] {
             let said = camera(fixed, &ALL, off(wrong, mm)).expect_err("contradicts");
@@ -378,6 +382,8 @@ mod tests {
             let by_others: f64 = by_others.split(' ').next().and_then(|v| v.parse().ok()).expect("a number");
             assert!((by_others - (a[0] - b[0]).hypot(a[1] - b[1])).abs() < 0.002, "{said}");
         }
+        // Where all marks have coordinates distances to a tenth check them.
+        assert!(camera(&[0, 1, 2, 3], &ALL, off((2, 3), 0.12)).is_ok());
         // What certificates leave.
         let scatter = |a: usize, b: usize| 0.01 * ((7 * a + 5 * b) % 3) as f64 - 0.01;
         assert!(camera(&[], &ALL, scatter).is_ok() && camera(&[0, 1, 2, 3], &ALL, scatter).is_ok());

@@ -74,7 +74,8 @@ pub fn description(
     .to_string()
 }
 
-/// Whether `image` and `mask` are there already and made alike.
+/// Whether `image` and `mask` are there already and made alike. What was made alike of a scan that has changed since, or
+/// was copied, is made again.
 ///
 /// # Errors
 /// [`Error::Usage`] when one of them is there, is to be kept and differs (or is no such file).
@@ -88,20 +89,27 @@ pub fn is_done(image: &Path, mask: &Path, description: &str, existing: Existing)
         // A file that was cut short is made again.
         return Ok(ends(image) && ends(mask));
     }
-    let there = if image.exists() { image } else { mask };
-    let differs = before.iter().flatten().map(|said| differing(said, description)).find(|keys| !keys.is_empty());
-    let differs = differs.map_or(String::new(), |keys| format!(" ({})", keys.join(", ")));
+    let there: Vec<(&Path, Option<String>)> =
+        [image, mask].into_iter().zip(before).filter(|(path, _)| path.exists()).collect();
+    let differs = |(_, said): &(&Path, Option<String>)| said.as_deref().and_then(|said| differing(said, description));
+    let is_of_other_scan = |keys: Option<Vec<String>>| keys.is_some_and(|keys| keys.iter().all(|key| key == "scan"));
+    if there.iter().map(differs).all(is_of_other_scan) {
+        return Ok(false);
+    }
+    let keys = there.iter().filter_map(differs).find(|keys| !keys.is_empty());
+    let differs = keys.map_or(String::new(), |keys| format!(" ({})", keys.join(", ")));
+    let there = there.first().map_or(image, |there| there.0);
     Err(Error::usage(
         format!("the output {} exists and was made otherwise{differs}", there.display()),
         "give --overwrite to replace it, or another folder",
     ))
 }
 
-/// What two descriptions say otherwise.
-fn differing(before: &str, now: &str) -> Vec<String> {
+/// What two descriptions say otherwise; `None` where the one before is none of ours.
+fn differing(before: &str, now: &str) -> Option<Vec<String>> {
     let read = |text: &str| serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(text).ok();
-    let Some((before, now)) = read(before).zip(read(now)) else { return vec![] };
-    now.iter().filter(|(key, value)| before.get(*key) != Some(*value)).map(|(key, _)| key.clone()).collect()
+    let (before, now) = (read(before)?, read(now)?);
+    Some(now.iter().filter(|(key, value)| before.get(*key) != Some(*value)).map(|(key, _)| key.clone()).collect())
 }
 
 /// Whether the last row of a raster can be read.

@@ -1,9 +1,12 @@
 //! Positions that count in another datum than the GCPs: a receiver's heights above the ellipsoid beside heights above
 //! the geoid. Taken as they stand they bend the block, its focal length first, and right GCPs look wrong.
 
+use std::collections::HashMap;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::positions;
+use super::snooping::LOSS;
 use super::standing::Standing;
 use super::survey::GroundPoint;
 use crate::bundle::{BundleCamera, Problem, Treatment};
@@ -14,13 +17,26 @@ const CHI2: f64 = 16.27;
 /// Standard deviations of a single position that one offset of all does not explain.
 const FAR: f64 = 5.0;
 
+/// What GCPs and positions let an offset of all positions be told by.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Testable {
+    No,
+    /// They show that the two contradict each other, not which is wrong: three GCPs are tested by nothing else, and of
+    /// few positions none is.
+    Contradiction,
+    Offset,
+}
+
 /// Whether GCPs place the block without its positions, so that these may be tested.
-pub(super) fn is_testable(problem: &Problem, control: &[&GroundPoint]) -> bool {
+pub(super) fn testable(problem: &Problem, control: &[&GroundPoint]) -> Testable {
     /// One position alone is that of its frame, and three GCPs place a block.
     const LEAST: (usize, usize) = (2, 3);
-    let positions = problem.frames.iter().filter(|f| f.position.is_some()).count();
+    let positions = positions::known(problem).count();
     let placing = control.iter().filter(|p| p.seen.len() >= 2).count();
-    positions >= LEAST.0 && placing >= LEAST.1
+    if positions < LEAST.0 || placing < LEAST.1 {
+        return Testable::No;
+    }
+    if positions < positions::LEAST || placing == LEAST.1 { Testable::Contradiction } else { Testable::Offset }
 }
 
 /// The same with what all positions are off together as one more unknown.
@@ -38,20 +54,37 @@ pub(super) fn is_doubtless(standing: &Standing) -> bool {
 }
 
 /// Whether the block is better with an offset of all positions: by more than chance, GCPs' and lens's own errors and
-/// what the positions scatter counted in, with no position far from where it then belongs, and with no more GCPs called
-/// wrong than `without`.
+/// what the positions scatter counted in, with no position far from where it then belongs, and with a lower cost than
+/// `without`, ties counted alike and a price for everything that is called wrong: a few wrong GCPs, left in, move right
+/// positions as an offset of these would.
 pub(super) fn is_borne_out(with: &Standing, without: Option<&Standing>) -> bool {
     let Some(offset) = with.problem.offset else { return false };
     let Some(covariance) = with.deviations.as_ref().and_then(|d| d.offset()) else { return false };
-    let off: Vec<Vector3<f64>> =
-        (0..with.problem.frames.len()).filter_map(|frame| with.problem.position_off(frame)).collect();
-    // A single position that is wrong shifts the mean of all, but scatters more.
-    let variance = off.iter().map(|off| off.norm_squared()).sum::<f64>() / (3 * off.len()).max(1) as f64;
-    let variance = variance.max(1.0);
+    let is_known = |frame: &usize| !with.problem.frames[*frame].is_held();
+    let frames = (0..with.problem.frames.len()).filter(is_known);
+    let off: Vec<Vector3<f64>> = frames.filter_map(|frame| with.problem.position_off(frame)).collect();
+    // A single position that is wrong shifts the mean of all, but scatters more. The offset took three numbers.
+    let freedom = (3 * off.len()).saturating_sub(3).max(1) as f64;
+    let variance = (off.iter().map(|off| off.norm_squared()).sum::<f64>() / freedom).max(1.0);
     let farthest = off.iter().map(|off| off.amax()).fold(0.0, f64::max);
     chi2(&offset, &covariance) > CHI2 * variance
         && farthest <= FAR * variance.sqrt()
-        && without.is_none_or(|without| with.blunders.len() <= without.blunders.len())
+        && without.is_none_or(|without| {
+            let known = |standing: &Standing| positions::known(&standing.problem).count();
+            let left_out = known(without).saturating_sub(known(with));
+            price(with, &with.problem, left_out) + CHI2 < price(without, &with.problem, 0)
+        })
+}
+
+/// What a block costs with its ties as good as those of `as_good_as`, and with a price for each GCP that is called
+/// wrong and each position that was left out.
+fn price(standing: &Standing, as_good_as: &Problem, left_out: usize) -> f64 {
+    let sigmas_px: HashMap<usize, f64> = as_good_as.observations.iter().map(|o| (o.point, o.sigma_px)).collect();
+    let mut problem = standing.problem.clone();
+    for o in &mut problem.observations {
+        o.sigma_px = sigmas_px.get(&o.point).copied().unwrap_or(o.sigma_px);
+    }
+    problem.cost(LOSS) + CHI2 * (standing.blunders.len() + left_out) as f64
 }
 
 fn chi2(offset: &Vector3<f64>, covariance: &Matrix3<f64>) -> f64 {
@@ -60,6 +93,24 @@ fn chi2(offset: &Vector3<f64>, covariance: &Matrix3<f64>) -> f64 {
 
 /// By how much the positions are off together, and what may be the reason.
 pub(super) fn note(standing: &Standing) -> Option<String> {
+    let said = contradiction(standing)?;
+    Some(format!(
+        "{said}; the block stands by the GCPs, and positions count but for what all are off together; bring both to one \
+         datum"
+    ))
+}
+
+/// The same of a block that is too small to tell which is wrong.
+pub(super) fn doubt(apart: &Standing) -> Option<String> {
+    let said = contradiction(apart)?;
+    Some(format!(
+        "{said}; with three GCPs or fewer than {} positions nothing tells which of both is wrong, and the cameras, the \
+         focal length and the deviations of this block take both for right: measure more GCPs, or leave the positions out",
+        positions::LEAST
+    ))
+}
+
+fn contradiction(standing: &Standing) -> Option<String> {
     /// Standard deviations below which a part is not worth saying.
     const SAID: f64 = 3.0;
     let offset = standing.problem.offset?;
@@ -80,7 +131,6 @@ pub(super) fn note(standing: &Standing) -> Option<String> {
     };
     Some(format!(
         "the positions lie {lie} where the GCPs put the cameras: another datum of one of both (heights above the ellipsoid \
-         beside heights above the geoid), or a receiver's offset{lens}; the block stands by the GCPs, and positions count \
-         but for what all are off together; bring both to one datum"
+         beside heights above the geoid), a receiver's offset, or GCPs that are wrong{lens}"
     ))
 }

@@ -3,7 +3,6 @@
 use nalgebra::Vector3;
 
 use super::adjusted::{AdjustedCamera, AdjustedPoint, Adjustment, Blunder};
-use super::snooping::is_held;
 use super::survey::{GroundPoint, Role};
 use crate::bundle::{Deviations, Problem, Summary};
 use crate::intersect::intersect_seen;
@@ -48,7 +47,7 @@ pub(super) fn outcome(
         .map(|(i, f)| AdjustedCamera {
             photograph: i,
             pose: f.pose,
-            covariance: deviations.as_ref().filter(|_| !is_held(f)).map(|d| d.frame(i)),
+            covariance: deviations.as_ref().filter(|_| !f.is_held()).map(|d| d.frame(i)),
             rms_px: root_mean(residuals.by_frame[i]),
             ties: residuals.by_frame[i].1,
         })

@@ -14,7 +14,7 @@ const FAR: f64 = 5.0;
 /// Share of the positions that may be wrong, and one at least; where more seem to be, the block is in doubt.
 const MOST: f64 = 0.2;
 /// Fewer positions than this do not tell which of them is wrong.
-const LEAST: usize = 5;
+pub(super) const LEAST: usize = 5;
 /// Positions that are sought one after another, an adjustment each.
 const MOST_ROUNDS: usize = 20;
 /// Positions that are tested in a round, those that are farthest off.
@@ -41,10 +41,14 @@ pub(super) fn are_tested(problem: &Problem, control: &[&GroundPoint]) -> bool {
     control.is_empty() || problem.offset.is_some()
 }
 
+/// Frames whose position is known, and what is known of it.
+pub(super) fn known(problem: &Problem) -> impl Iterator<Item = (&BundleFrame, (Vector3<f64>, Vector3<f64>))> {
+    problem.frames.iter().filter(|f| !f.is_held()).filter_map(|f| Some((f, f.position?)))
+}
+
 /// The middle of what positions are off, axis by axis, from centres that are `scale` times as large.
 pub(super) fn middle_shift(problem: &Problem, scale: f64) -> Option<Vector3<f64>> {
-    let shifts: Vec<Vector3<f64>> =
-        problem.frames.iter().filter_map(|f| Some(f.position?.0 - f.pose.centre * scale)).collect();
+    let shifts: Vec<Vector3<f64>> = known(problem).map(|f| f.1.0 - f.0.pose.centre * scale).collect();
     let middle = |axis: usize| upper_median(&mut shifts.iter().map(|s| s[axis]).collect::<Vec<f64>>());
     Some(Vector3::new(middle(0)?, middle(1)?, middle(2)?))
 }
@@ -98,7 +102,7 @@ pub(super) fn set_aside(problem: &mut Problem) -> Vec<Aside> {
 /// Those of [`solve`].
 pub(super) fn snoop(problem: &mut Problem, world: &Reconstruction, aside: Vec<Aside>) -> Result<Vec<String>> {
     let solving = Options { loss: LOSS, ..Options::default() };
-    let all = problem.frames.iter().filter(|f| f.position.is_some()).count();
+    let all = known(problem).count();
     if all < LEAST && aside.is_empty() {
         return Ok(Vec::new());
     }

@@ -8,7 +8,7 @@ use super::options::AdjustOptions;
 use super::screening::{GROSS, Screened};
 use super::survey::{GroundPoint, Role};
 use crate::bundle::{
-    BundleFrame, Deviations, Ended, FROM_NEAR, Factored, Loss, Moved, Observation, Options, Problem, Summary,
+    BundleFrame, Deviations, Ended, FROM_NEAR, Factored, HELD_M, Loss, Moved, Observation, Options, Problem, Summary,
     Treatment, factor, solve,
 };
 use crate::camera::Parameter;
@@ -123,8 +123,7 @@ pub(super) fn hold(problem: &mut Problem, ties: usize, control: &[&GroundPoint])
     }
 }
 
-/// What holds a frame that too little was measured in: metres that nobody states, by which it is known, and radians.
-const HELD_M: f64 = 9_999.0;
+/// What holds a frame that too little was measured in, beside [`HELD_M`], radians.
 const HELD_RAD: f64 = 10.0;
 
 /// A frame of which its image points and priors leave something open leaves the unknowns determined by wide priors,
@@ -173,14 +172,9 @@ pub(super) fn hold_interiors(problem: &mut Problem) -> Option<String> {
     })
 }
 
-/// Whether nothing but [`hold_frames`] says where a frame is.
-pub(super) fn is_held(frame: &BundleFrame) -> bool {
-    frame.position.is_some_and(|(_, sigma)| sigma.x == HELD_M)
-}
-
 /// Frames that nothing fixes: what is said of them is what the reconstruction says.
 pub(super) fn unfixed(problem: &Problem, world: &Reconstruction, astray: &[Astray]) -> Option<String> {
-    let held = problem.frames.iter().enumerate().filter(|(_, frame)| is_held(frame)).map(|(i, _)| i);
+    let held = problem.frames.iter().enumerate().filter(|(_, frame)| frame.is_held()).map(|(i, _)| i);
     let held = held.filter(|i| astray.iter().all(|a| a.frame != *i));
     let names: Vec<String> = held.map(|i| world.photographs[i].name.clone()).collect();
     (!names.is_empty()).then(|| {

@@ -20,5 +20,6 @@ mod solve;
 pub use descent::{ANY_FOCAL, Ended, FROM_AFAR, FROM_NEAR, Options, Summary};
 pub use deviations::{Deviations, MissingTerms, Moved};
 pub use normal::Factored;
+pub(crate) use problem::HELD_M;
 pub use problem::{BundleCamera, BundleFrame, BundlePoint, Loss, Observation, Problem, Treatment, Trust};
 pub use solve::{factor, solve};

@@ -278,7 +278,7 @@ fn priors(problem: &Problem, layout: &Layout, matrix: &mut Skyline, right: &mut 
                 let w = 1.0 / (sigma[a] * sigma[a]);
                 matrix.add(at + 3 + a, at + 3 + a, w);
                 right[at + 3 + a] += w * misses[a];
-                if let Some(offset_at) = layout.offset_at {
+                if let Some(offset_at) = layout.offset_at.filter(|_| !frame.is_held()) {
                     matrix.add(offset_at + a, offset_at + a, w);
                     matrix.add(offset_at + a, at + 3 + a, w);
                     right[offset_at + a] += w * misses[a];
@@ -355,6 +355,9 @@ impl Factored {
         let (mut weights, mut slope) = (Vector3::zeros(), Vector3::zeros());
         for (i, frame) in problem.frames.iter().enumerate() {
             let (Some((_, sigma)), Some(misses)) = (&frame.position, problem.position_misses(i)) else { continue };
+            if frame.is_held() {
+                continue;
+            }
             for a in 0..3 {
                 let w = 1.0 / (sigma[a] * sigma[a]);
                 weights[a] += w;

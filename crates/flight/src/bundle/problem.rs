@@ -52,6 +52,16 @@ pub struct BundleFrame {
     pub direction: Option<(Matrix3<f64>, f64)>,
 }
 
+/// How wide a frame is held that nothing else fixes: neither its residuals nor other unknowns feel it, metres.
+pub(crate) const HELD_M: f64 = 9_999.0;
+
+impl BundleFrame {
+    /// Whether its position is a hold and nothing that is known.
+    pub(crate) fn is_held(&self) -> bool {
+        self.position.is_some_and(|(_, sigma)| sigma.x == HELD_M)
+    }
+}
+
 /// A point: a tie, or a GCP with its survey.
 #[derive(Clone, Debug)]
 pub struct BundlePoint {
@@ -140,7 +150,8 @@ impl Problem {
     /// Known position − centre of a frame, metres, without what all positions are off together.
     pub(crate) fn position_misses(&self, frame: usize) -> Option<Vector3<f64>> {
         let frame = &self.frames[frame];
-        frame.position.map(|(at, _)| at - self.offset.unwrap_or_default() - frame.pose.centre)
+        let offset = self.offset.filter(|_| !frame.is_held()).unwrap_or_default();
+        frame.position.map(|(at, _)| at - offset - frame.pose.centre)
     }
 
     /// The same in standard deviations.

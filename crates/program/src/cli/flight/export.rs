@@ -7,6 +7,7 @@ use anyhow::{Result, bail};
 use autoref_flight::micmac_files::{self, Chain, FilmCamera, Masks, SurveyedPoint, TextFile};
 use autoref_raster::atomic::{self, Existing};
 use autoref_raster::output_folder::OutputFolder;
+use autoref_raster::protected::same_file;
 
 use super::project::{OrderedFrames, Project, ordered_frames, point_args, read_project};
 use super::runs;
@@ -45,6 +46,16 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
         eprintln!("warning: {note}");
     }
     let files = files(&args.project, (&project, &base), &flight, args.pixel_mm)?;
+    if let Some(global) = &flight.masks.global
+        && same_file(&flight.masks.folder, &args.output)
+    {
+        bail!(
+            "{}: what is joined with {} would lie there as the frames' own masks, and count as such from then on; name \
+             another folder, and link the frames into it",
+            args.output.display(),
+            global.display()
+        );
+    }
     let _folder = OutputFolder::make(&args.output)?;
     let paths: Vec<PathBuf> = files.iter().map(|(name, _)| args.output.join(name)).collect();
     let names: Vec<&str> = flight.names.iter().map(String::as_str).collect();
@@ -52,13 +63,14 @@ pub fn export(args: &ExportArgs) -> Result<ExitCode> {
     for path in paths.iter().chain(masks.iter().flat_map(|mask| [&mask.mask, &mask.xml])) {
         check_output(Some(path), Existing::of_flag(args.overwrite))?;
     }
-    for (path, (_, text)) in paths.iter().zip(&files) {
-        atomic::write(path, text.as_bytes())?;
-        println!("{}", path.display());
-    }
+    // The commands that read them come last: a mask that does not fit leaves none behind.
     for mask in &masks {
         flight.masks.write_for_micmac(&flight.folder, mask)?;
         println!("{}\n{}", mask.mask.display(), mask.xml.display());
+    }
+    for (path, (_, text)) in paths.iter().zip(&files) {
+        atomic::write(path, text.as_bytes())?;
+        println!("{}", path.display());
     }
     Ok(ExitCode::SUCCESS)
 }
