@@ -182,7 +182,7 @@ fn positions_of_another_datum_than_the_gcps_are_told() {
     }
     let one = found(Vector3::zeros(), &[(2, 300.0)], &points);
     assert!(told(&one).is_none(), "{:?}", one.notes);
-    // Of three GCPs nothing tells whether they are wrong or the positions: that is said, and the block stands as before.
+    // Of three GCPs nothing tells whether they are wrong or the positions: that is said, and both count.
     let three = found(Vector3::new(0.0, 0.0, 45.0), &[], &points[..3]);
     assert!(
         told(&three).is_some_and(|said| said.contains("nothing tells which of both is wrong")),

@@ -74,8 +74,8 @@ pub fn description(
     .to_string()
 }
 
-/// Whether `image` and `mask` are there already and made alike. What was made alike of a scan that has changed since, or
-/// was copied, is made again.
+/// Whether `image` and `mask` are there already and made alike. What was made alike of a scan that has changed since,
+/// or was copied, is made again.
 ///
 /// # Errors
 /// [`Error::Usage`] when one of them is there, is to be kept and differs (or is no such file).
