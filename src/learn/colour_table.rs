@@ -174,7 +174,7 @@ impl Divider {
     fn of(line: &str) -> Divider {
         let words = || line.split_whitespace();
         // Commas among blanks are decimal ones where every word is a number with them.
-        let is_number = |word: &str| plain(&word.replace(',', ".")).parse::<f64>().is_ok();
+        let is_number = |word: &str| !word.starts_with(',') && plain(&word.replace(',', ".")).parse::<f64>().is_ok();
         match [';', '\t'].into_iter().find(|divider| line.contains(*divider)) {
             Some(divider) => Divider::Character(divider),
             None if line.contains(',') && !(words().count() >= 3 && words().all(is_number)) => Divider::Character(','),
