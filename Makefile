@@ -20,7 +20,7 @@ PEERS := target/peers
 # Odd, old and corrupt TIFFs to begin with, where they are there; the other parsers begin with what fuzz/seeds.py writes.
 FUZZ_SEEDS = $(if $(filter native_tiff,$(TARGET)),$(wildcard $(addprefix $(CURDIR)/../shared/data/tiff/,image-tiff twelvemonkeys rio)))
 
-.PHONY: all fixtures deps test-deps build demo test check lint doc deny sbom bench fuzz check-large clean
+.PHONY: all fixtures deps test-deps build demo compile test check lint doc deny sbom bench fuzz check-large clean
 
 all: build
 
@@ -60,15 +60,23 @@ fixtures: build
 	fixtures/make.sh target/release/autoref-stream fixtures
 
 # The system's libzstd, which GDAL's packages bring, saves a compilation; a release is built with its own.
-lint doc test: export ZSTD_SYS_USE_PKG_CONFIG ?= 1
+lint doc compile test: export ZSTD_SYS_USE_PKG_CONFIG ?= 1
+
+# What the tests need beside the program is installed while they are compiled.
+compile: deps
+	@$(MAKE) --no-print-directory test-deps & \
+	if $(CARGO) nextest --version >/dev/null 2>&1; then \
+	  set -x; $(CARGO) nextest run --features coded --no-run; \
+	else set -x; $(CARGO) test --quiet --features coded --no-run; fi; \
+	compiled=$$?; wait; exit $$compiled
 
 # The random tests draw the same cases in every run; `make check-large` draws new ones. What was skipped is told at the end:
 # tests say so in the file of AUTOREF_SKIPPED.
 test: export PROPTEST_RNG_SEED ?= 2016
 test: export AUTOREF_SKIPPED := $(CURDIR)/target/skipped.txt
 test: export AUTOREF_PYTHON ?= $(CURDIR)/$(PEERS)/bin/python
-test: deps test-deps
-	@mkdir -p target && rm -f $(AUTOREF_SKIPPED)
+test: compile
+	@rm -f $(AUTOREF_SKIPPED)
 	@if $(CARGO) nextest --version >/dev/null 2>&1; then \
 	  set -ex; $(CARGO) nextest run --features coded --no-fail-fast --status-level slow --final-status-level slow --show-progress none; \
 	  $(CARGO) test --quiet --features coded --doc -- --format=terse; \
