@@ -120,10 +120,10 @@ mod tests {
             ([40, 90, 200], &["blue", "ral-5015"]),
         ];
         for (ground, worst) in grounds {
-            let rgb: Vec<u8> = (0..400 * 300)
+            let rgb: Vec<u8> = (0..100 * 75)
                 .flat_map(|i: u32| ground.map(|v| v.saturating_add((i.wrapping_mul(2_654_435_761) >> 28) as u8)))
                 .collect();
-            let ranks = rank_paints(&MemorySource::rgb8(400, 300, rgb)).expect("in memory");
+            let ranks = rank_paints(&MemorySource::rgb8(100, 75, rgb)).expect("in memory");
             assert!(ranks.len() >= 6, "{ranks:?}");
             let last = ranks.last().expect("several paints");
             assert!(worst.contains(&last.profile.as_str()), "{ranks:?}");

@@ -123,7 +123,7 @@ pub(super) const CASES: &[Case] = &[
         inputs: &["d1.tif", "d2.tif"],
     },
     Case {
-        line: "fiducials film/wild-15-4-1.tif --camera wild-15-4 -o o --exports --overwrite",
+        line: "fiducials film/wild-15-4-1.tif --camera wild-15-4 -o o --exports",
         inputs: &["film/wild-15-4-1.tif"],
     },
     Case {
