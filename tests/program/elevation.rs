@@ -8,6 +8,8 @@ use gdal::raster::Buffer;
 use gdal::spatial_ref::SpatialRef;
 use serde_json::Value;
 
+use crate::browser::{Browser, Page};
+
 pub(super) fn autoref(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_autoref-stream")).args(arguments).output().expect("the program runs")
 }
@@ -360,6 +362,16 @@ fn a_page_has_a_map_and_bad_tables_of_colours_are_named() {
         assert!(page.contains(word), "{word}");
     }
     assert!(!page.contains("http://") && !page.contains("https://"), "readable without a network");
+    if let Some(mut browser) = Browser::start() {
+        browser.open(&out.join("report.html"));
+        // The middle of the map, which has heights.
+        let told = browser.eval(
+            "(() => { const r = map.getBoundingClientRect(); map.dispatchEvent(new MouseEvent('mousemove', \
+             { clientX: r.left + r.width / 2, clientY: r.top + r.height / 2 })); return readout.textContent; })()",
+        );
+        assert!(told.as_str().is_some_and(|told| told.contains("A − B")), "{told}");
+        assert_eq!(browser.complaints(), Vec::<String>::new());
+    }
     let table = folder.at("colours.txt");
     for (content, word) in [("not a table\n", "line 1"), ("# nothing\n", "no colour"), ("100 1 2\n", "line 1")] {
         std::fs::write(&table, content).expect("writable");

@@ -8,6 +8,8 @@ use gdal::DriverManager;
 use gdal::raster::{Buffer, RasterCreationOptions};
 use serde_json::Value;
 
+use crate::browser::{Browser, Page};
+
 fn mask(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_autoref-stream")).arg("mask").args(arguments).output().expect("the program runs")
 }
@@ -234,6 +236,15 @@ fn a_camera_masks_its_marks_text_and_border() {
     assert!(folder.at("masks/S36_Scatter.svg").is_file());
     let page = std::fs::read_to_string(folder.at("masks/masks.html")).expect("a page");
     assert!(page.contains("S36_Scatter.svg"));
+    if let Some(mut browser) = Browser::start() {
+        browser.open(Path::new(&folder.at("masks/masks.html")));
+        // A press would drag what an earlier double-click selected, and cut a stroke of the brush off.
+        let own = browser.eval(
+            "['mousedown', 'dragstart'].map(kind => document.querySelector('figure svg').dispatchEvent( \
+             new MouseEvent(kind, { bubbles: true, cancelable: true })))",
+        );
+        assert_eq!(own, serde_json::json!([false, false]));
+    }
     let boxes =
         [&[resampled.as_str()], &camera[..], &["--overwrite", "--quiet", "--mask-box", "80,60,100,80"]].concat();
     assert!(mask(&boxes).status.success());

@@ -19,8 +19,9 @@ pub struct Layout {
     pub width: usize,
     /// Likewise.
     pub height: usize,
-    /// Pixels of this per pixel of the frame.
-    pub scale: f64,
+    /// Pixels of this per pixel of the frame, along its rows and its columns: both sizes are whole, so that the two differ
+    /// a little.
+    pub scale: [f64; 2],
 }
 
 /// A frame in grey.
@@ -35,7 +36,22 @@ impl Layout {
     pub fn of((w, h): (usize, usize), largest_px: usize) -> Self {
         let scale = (largest_px as f64 / w.max(h).max(1) as f64).min(1.0);
         let [width, height] = [w, h].map(|s| ((s as f64 * scale).round() as usize).max(1));
-        Layout { width, height, scale }
+        Layout { width, height, scale: [width as f64 / w.max(1) as f64, height as f64 / h.max(1) as f64] }
+    }
+
+    /// As the frame is.
+    pub fn whole((width, height): (usize, usize)) -> Self {
+        Layout { width, height, scale: [1.0; 2] }
+    }
+
+    /// From a place in this (pixels) to the one in the frame.
+    pub fn to_frame(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        [x / self.scale[0], y / self.scale[1]]
+    }
+
+    /// From a place in the frame (pixels) to the one in this.
+    pub fn of_frame(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        [x * self.scale[0], y * self.scale[1]]
     }
 }
 
@@ -63,12 +79,13 @@ impl Grey {
             let sum: u64 = rows.flatten().map(|v| u64::from(*v)).sum();
             (sum / ((right - left) * (bottom - top)) as u64) as u8
         };
-        let layout = Layout { width: to_width, height: to_height, scale: scale * ratio };
+        let [across, down] = [to_width as f64 / width as f64, to_height as f64 / height as f64];
+        let layout = Layout { width: to_width, height: to_height, scale: [scale[0] * across, scale[1] * down] };
         Grey { layout, pixels: (0..to_width * to_height).map(mean).collect() }
     }
 
     /// Bilinear, at pixels of this image; `None` outside.
-    fn at(&self, x: f64, y: f64) -> Option<f32> {
+    fn at(&self, [x, y]: [f64; 2]) -> Option<f32> {
         let (x, y) = (x - 0.5, y - 0.5);
         let Layout { width, height, .. } = self.layout;
         if !(x >= 0.0 && y >= 0.0 && x <= (width - 1) as f64 && y <= (height - 1) as f64) {
@@ -87,9 +104,8 @@ impl Grey {
         let mut pixels = vec![0u8; to.width * to.height];
         let mut seen = 0usize;
         for (k, grey) in pixels.iter_mut().enumerate() {
-            let at = [k % to.width, k / to.width].map(|v| (v as f64 + 0.5) / to.scale);
-            let scale = self.layout.scale;
-            if let Some(value) = mapped(to_this, at).and_then(|[x, y]| self.at(x * scale, y * scale)) {
+            let at = to.to_frame([k % to.width, k / to.width].map(|v| v as f64 + 0.5));
+            if let Some(value) = mapped(to_this, at).and_then(|place| self.at(self.layout.of_frame(place))) {
                 *grey = value.round() as u8;
                 seen += 1;
             }
@@ -133,6 +149,21 @@ pub fn even_contrast(pixels: &[u8], width: usize, height: usize) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_corners_of_a_smaller_frame_are_those_of_the_frame() {
+        // 3648 rows come to 2133, not to 2133.3.
+        let layout = Layout::of((5472, 3648), 3200);
+        let far = layout.to_frame([layout.width as f64, layout.height as f64]);
+        assert!((far[0] - 5472.0).abs() < 1e-9 && (far[1] - 3648.0).abs() < 1e-9, "{far:?}");
+        let pixels = vec![0; layout.width * layout.height];
+        let smaller = Grey::new(layout, pixels).smaller(500).layout;
+        let far = smaller.of_frame([5472.0, 3648.0]);
+        assert!(
+            (far[0] - smaller.width as f64).abs() < 1e-9 && (far[1] - smaller.height as f64).abs() < 1e-9,
+            "{far:?}"
+        );
+    }
 
     #[test]
     fn contrast_is_even_where_the_light_is_not() {

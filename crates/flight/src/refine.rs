@@ -35,12 +35,12 @@ const LEAST_POINTS: usize = 30;
 const NEIGHBOURS: usize = 16;
 const LEAST_NEIGHBOURS: usize = 6;
 
-/// A frame in grey, `scale` pixels of it to a pixel of the frame.
+/// A frame in grey, `scale` pixels of it to a pixel of the frame along rows and columns.
 #[derive(Clone, Copy)]
 pub struct Picture<'a> {
     pub size: [usize; 2],
     pub grey: &'a [u8],
-    pub scale: f64,
+    pub scale: [f64; 2],
 }
 
 /// A tie of two frames: the image point that stays and the one that moves, by their places in `seen`.
@@ -257,8 +257,9 @@ impl Picture<'_> {
 /// place.
 fn shift(pictures: [Picture<'_>; 2], at: [Vector2<f64>; 2], warp: &Matrix2<f64>) -> Fit {
     let [one, two] = pictures;
-    let (p, q) = (at[0] * one.scale, at[1] * two.scale);
-    let warp = warp * (two.scale / one.scale);
+    let [of_one, of_two] = [one, two].map(|picture| Vector2::from(picture.scale));
+    let (p, q) = (at[0].component_mul(&of_one), at[1].component_mul(&of_two));
+    let warp = Matrix2::from_fn(|r, c| warp[(r, c)] * of_two[r] / of_one[c]);
     let reach = f64::from(HALF_PX + 1);
     let corners = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]].map(|c| Vector2::from(c) * reach);
     let margin = Vector2::new(MOST_MOVED_PX, MOST_MOVED_PX);
@@ -277,7 +278,7 @@ fn shift(pictures: [Picture<'_>; 2], at: [Vector2<f64>; 2], warp: &Matrix2<f64>)
         }
         if step.norm() < LAST_STEP_PX {
             let alike = template.correlation(&values) >= LEAST_CORRELATION;
-            return if alike { Fit::At(moved / two.scale) } else { Fit::Unlike };
+            return if alike { Fit::At(moved.component_div(&of_two)) } else { Fit::Unlike };
         }
     }
     Fit::Unlike
@@ -389,7 +390,7 @@ mod tests {
         }
 
         fn laid(&self) -> Vec<Moved> {
-            let picture = |k: usize| Picture { size: SIZE, grey: &self.greys[k], scale: 1.0 };
+            let picture = |k: usize| Picture { size: SIZE, grey: &self.greys[k], scale: [1.0; 2] };
             let pairs = pairs(&self.model);
             pairs.iter().flat_map(|pair| laid(&self.model, pair, pair.frames.map(picture))).collect()
         }

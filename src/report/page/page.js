@@ -45,10 +45,14 @@
     byId("title").textContent = D.image.name;
     byId("subtitle").textContent = [`${D.image.width} × ${D.image.height} px`, D.image.description,
       `points of ${D.gcp_file.split("/").pop()}`, D.crs, D.made].filter(Boolean).join(" · ");
-    const verdict = byId("verdict");
-    verdict.className = `verdict ${D.status}`;
+    const verdict = byId("verdict"), edited = edits.length > 0;
+    verdict.className = `verdict ${edited ? "open" : D.status}`;
     verdict.replaceChildren();
-    if (D.status === "solved") {
+    document.body.classList.toggle("edited", edited);
+    if (D.status === "solved" && edited) {
+      verdict.append(`Fit of ${count(state.control, "point", "points")} with the changes made here`,
+        html("p", { class: "sub" }, "Whether it can be trusted is judged when the patch is replayed."));
+    } else if (D.status === "solved") {
       verdict.append(`Georeferenced from ${count(state.control, "point", "points")}`);
     } else {
       verdict.append(`Not georeferenced: ${D.reason || "no reason given"}`);
@@ -80,8 +84,10 @@
       note.textContent = `${count(D.patch.edits.length, "change", "changes")} by review were replayed.`;
     }
   }
+  // Stands above what is as the run said it, and is seen once something is changed.
+  const ofRun = () => html("p", { class: "of-run" }, "As the run found it, before the changes made here. The replay of the patch says it anew.");
   function warnings() {
-    if (D.warnings.length) replace("warnings", html("ul", { class: "warnings", "aria-label": "Warnings" }, ...D.warnings.map((w) => html("li", {}, w))));
+    if (D.warnings.length) replace("warnings", ofRun(), html("ul", { class: "warnings", "aria-label": "Warnings" }, ...D.warnings.map((w) => html("li", {}, w))));
   }
 
   // ---- overview and expected error
@@ -217,7 +223,7 @@
     byId("expected-note").textContent = `The transform puts 95 of 100 places within this distance of where they are: ${ground(low)} at best, ${ground(high)} in the worst corner. `
       + `It follows from the covariance of the fit alone with ${state.solution.freedom} redundant measurements. A single point read off the image adds the scatter of the marks themselves: ${ground(radius.point(nearest / f))} to ${ground(radius.point(far / f))}.`
       + (MODEL === "affine" ? " Counted for the similarity; the affine transform that was written has two parameters more and is known less well, the more so the less alike the accuracies of the points are: the corners' expected errors in the summary and the JSON are its own." : "")
-      + (D.misfit ? ` This map does not know what was said of the fit: ${D.misfit}. The corners' expected errors in the summary and the JSON count it.` : "");
+      + (edits.length ? " What a fit that does not suit its points adds to it is told by the replay." : D.misfit ? ` This map does not know what was said of the fit: ${D.misfit}. The corners' expected errors in the summary and the JSON count it.` : "");
     replace("expected-figure", box, html("div", { class: "legend" }, html("span", {}, ground(low), scaleBar, ground(high)), Draw.legendItem("found", "point of the fit")));
   }
 
@@ -306,11 +312,19 @@
     }
     return box;
   }
+  const markOf = (i) => {
+    const h = held[i], p = D.points[i];
+    return h && h.mark && (h.used || p.state === "proposed" || p.state === "found") ? h.mark : null;
+  };
+  // Which window shows a point; null where the page has none.
+  const chipIndex = (i) => {
+    const mark = markOf(i), index = mark && mark.chip !== null ? mark.chip : D.points[i].chip;
+    return index === undefined ? null : index;
+  };
   // The picture of a point as it stands now.
   function chipOf(i, large) {
-    const p = D.points[i], h = held[i], mark = h && h.mark && (h.used || p.state === "proposed" || p.state === "found") ? h.mark : null;
-    const index = mark && mark.chip !== null ? mark.chip : p.chip;
-    if (index === null || index === undefined) return html("span", { class: "none" });
+    const p = D.points[i], h = held[i], mark = markOf(i), index = chipIndex(i);
+    if (index === null) return html("span", { class: "none" });
     const chip = D.chips[index], marks = [], s = transform();
     if (large || !mark) {
       for (const m of Review.choices(p)) {
@@ -336,6 +350,8 @@
     if (p.why && !(h && h.mark)) return [p.why, near];
     return [h && h.mark && p.state === "proposed" ? `score ${h.mark.score === null ? "–" : h.mark.score.toFixed(1)}` : near, ""];
   }
+  // Points whose window the page has no room for.
+  const pictureless = () => order.filter((i) => chipIndex(i) === null).length;
   const shownAsCard = (i) => { const p = D.points[i]; return p.state !== "outside" && p.state !== "unknown"; };
 
   function cards() {
@@ -362,7 +378,7 @@
       html("span", { class: "line" }, `${m.x.toFixed(1)}, ${m.y.toFixed(1)}`))));
     replace("cards", ...items, ...gallery);
     byId("marks-note").textContent = order.length
-      ? `Each window shows the mark with the shape that was fitted to it; yellow crosses are other candidates, blue ones the place where the ${state.solution ? "fit" : "likeliest pattern, which was not believed,"} has the point. What is changed here changes the whole page at once.`
+      ? `Each window shows the mark with the shape that was fitted to it; yellow crosses are other candidates, blue ones the place where the ${state.solution ? "fit" : "likeliest pattern, which was not believed,"} has the point. What is changed here changes figures, map, plots and tables at once; verdict, warnings and statements follow with the replay.${pictureless() ? ` The page holds no more windows: ${count(pictureless(), "point has", "points have")} none.` : ""}`
       : gallery.length ? "No pattern was found. These candidates look most like marks; if they are none, the profile does not fit the paint."
         : "There is no mark to show.";
     byId("editor").hidden = !order.length;
@@ -396,14 +412,17 @@
     note.value = noteOf(p.name);
     note.addEventListener("change", () => setNote(p.name, note.value));
     const picture = chipOf(i, true);
-    picture.classList.add("placing");
-    picture.addEventListener("click", (event) => placeAt(picture, event));
+    const hasPicture = chipIndex(i) !== null;
+    if (hasPicture) {
+      picture.classList.add("placing");
+      picture.addEventListener("click", (event) => placeAt(picture, event));
+    }
     replace("editor", picture, html("h3", {}, p.name), list,
       html("div", { class: "buttons" }, button("Accept", "A", accept, hasMark || !!offered(i)), button("Reject", "R", reject, hasMark),
         button("Next candidate", "C", pickNext, more), button("Not visible", "V", notVisible, true)),
       html("div", { class: "nudge" }, "Nudge 0.1 px", button("←", "⇧←", () => nudge(-1, 0), hasMark, "Nudge left"), button("→", "⇧→", () => nudge(1, 0), hasMark, "Nudge right"),
         button("↑", "⇧↑", () => nudge(0, -1), hasMark, "Nudge up"), button("↓", "⇧↓", () => nudge(0, 1), hasMark, "Nudge down")),
-      html("p", { class: "sub" }, "Click in the picture to put the mark there."), note);
+      html("p", { class: "sub" }, hasPicture ? "Click in the picture to put the mark there." : "The page has no window of this point."), note);
   }
 
   // ---- edits
@@ -482,7 +501,7 @@
     if (!edits.length) return;
     const text = JSON.stringify(Review.patch(D.source, edits, state), null, 2) + "\n";
     const url = URL.createObjectURL(new Blob([text], { type: "application/json" }));
-    const link = html("a", { href: url, download: D.source.replace(/(\.autoref)?\.json$/, "") + ".patch.json" });
+    const link = html("a", { href: url, download: beside(".patch.json") });
     document.body.append(link);
     link.click();
     link.remove();
@@ -550,7 +569,7 @@
   // ---- the rest
   function sections() {
     const number = (c) => /^([-−+]?\d|–)/.test(c), kind = (c, k) => (k > 0 && number(c) ? null : "text");
-    replace("sections", ...D.sections.map((s) => html("section", { "aria-label": s.heading }, html("h2", {}, s.heading), ...s.paragraphs.map((p) => html("p", {}, p)),
+    replace("sections", ...D.sections.map((s) => html("section", { "aria-label": s.heading }, html("h2", {}, s.heading), ofRun(), ...s.paragraphs.map((p) => html("p", {}, p)),
       s.reservations.length ? html("ul", { class: "warnings", "aria-label": "Reservations" }, ...s.reservations.map((p) => html("li", {}, p))) : null,
       s.figures.length ? html("dl", { class: "facts" }, ...s.figures.flatMap(([k, v]) => [html("dt", {}, k), html("dd", {}, v)])) : null,
       s.height_arrows.length ? html("div", { class: "plots" }, Draw.heights(s.height_arrows)) : null,
@@ -558,6 +577,9 @@
         html("thead", {}, html("tr", {}, ...t.header.map((c, k) => html("th", { scope: "col", class: kind(t.rows.length ? t.rows[0][k] : c, k) }, c)))),
         html("tbody", {}, ...t.rows.map((r) => html("tr", {}, ...r.map((c, k) => html("td", { class: kind(c, k) }, c)))))))))));
   }
+  // A name as a shell takes it for one word.
+  const quoted = (name) => (/^[\w.\/+:@%,=-]+$/.test(name) && !name.startsWith("-") ? name : `'${name.replace(/'/g, "'\\''")}'`);
+  const beside = (ending) => D.source.replace(/(\.autoref)?\.json$/, "") + ending;
   function details() {
     const d = D.details, mib = (b) => `${(b / 1048576).toFixed(0)} MiB`, seconds = (v) => `${v.toFixed(2)} s`;
     const list = (rows) => html("dl", { class: "facts" }, ...rows.filter((r) => r && r[1] !== null && r[1] !== undefined && r[1] !== "").flatMap(([k, v]) => [html("dt", {}, k), html("dd", {}, v)]));
@@ -577,7 +599,7 @@
       [MODEL ? `Matrix, ${MODEL}` : "", D.chosen_model && D.chosen_model.matrix ? D.chosen_model.matrix.map((row) => row.join(", ")).join("; ") : null]]);
     const raw = html("details", { class: "noprint" }, html("summary", {}, "All options"), html("pre", {}, JSON.stringify(d.options, null, 1)));
     replace("details", html("div", { class: "columns" }, what, how), raw);
-    byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing. Changes made in it are saved as a patch, which autoref-stream solve ${D.source} --patch FILE replays.`;
+    byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing. Changes made in it are saved as a patch. Its replay: autoref-stream solve ${quoted(D.source)} --patch ${quoted(beside(".patch.json"))} -o ${quoted(beside(".reviewed.json"))}`;
   }
 
   // Drawings again in the width that they have now.

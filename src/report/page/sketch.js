@@ -52,7 +52,8 @@ const Sketch = (() => {
     const { u, W, H, pad } = drawing;
     const taken = [...also, ...symbols.map(([x, y]) => [x - 7 * u, y - 7 * u, 14 * u, 14 * u])];
     return (x, y, name) => {
-      const w = 7.2 * name.length * u, h = 13 * u;
+      // Letters of the widest of the fonts.
+      const w = 8.2 * name.length * u, h = 13 * u;
       for (const [dx, dy, anchor] of [[10, -7, "start"], [-10, -7, "end"], [10, 16, "start"], [-10, 16, "end"], [0, -12, "middle"], [0, 22, "middle"]]) {
         const left = x + dx * u - (anchor === "end" ? w : anchor === "middle" ? w / 2 : 0), top = y + dy * u - 0.8 * h;
         const fits = left >= -pad && left + w <= W + pad && top >= -pad && top + h <= H + pad;

@@ -63,6 +63,13 @@ fn a_review_of_the_contact_sheet_replays_to_the_same_numbers() {
         on(&mut browser, a, "P3", &[("v", false), ("u", false)]);
         on(&mut browser, a, "P4", &[("r", false), ("a", false)]);
         on(&mut browser, b, "P5", &[("v", false)]);
+        // Groups are the run's, and the sheet says so. In a narrow window the enlargement keeps its shape.
+        let groups = "[...document.querySelectorAll('h2')].map(h => h.textContent).join()";
+        assert!(browser.eval(groups).as_str().expect("text").contains("changed here"), "{}", browser.eval(groups));
+        browser.widen(400);
+        let sides = "(() => { const r = document.querySelector('#zoom .c').getBoundingClientRect(); return [r.width, r.height]; })()";
+        assert_eq!(browser.eval(sides), serde_json::json!([320, 320]));
+        browser.widen(1280);
         browser.key("s", false);
         let patch = browser.download("fiducials.patch.json");
         let saved = json(&patch);

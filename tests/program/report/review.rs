@@ -181,8 +181,13 @@ fn review(browser: &mut dyn Page, sample: &Sample, wrong: &str) {
     browser.key("r", false);
     let rejected = browser.eval("document.querySelector('#figures').textContent");
     assert_ne!(first, rejected, "the page did not follow");
+    // What the run said of its own fit is not said of another.
+    let said = "[document.getElementById('verdict').textContent.includes('judged when the patch is replayed'), \
+                [...document.querySelectorAll('.of-run')].some(p => p.offsetHeight > 0)]";
+    assert_eq!(browser.eval(said), serde_json::json!([true, true]));
     browser.key("u", false);
     assert_eq!(browser.eval("document.querySelector('#figures').textContent"), first, "undo");
+    assert_eq!(browser.eval(said), serde_json::json!([false, false]));
     browser.key("r", false);
     browser.key("Home", false);
     focus(browser, &other);

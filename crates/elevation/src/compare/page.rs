@@ -14,7 +14,7 @@ const STYLE: &str = "body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em 
     td:first-child,th:first-child,td:nth-child(2),th:nth-child(2){text-align:left}svg{max-width:100%}\
     .bar{display:flex;flex-wrap:wrap;gap:.4em 1.4em;align-items:center}.bar label{display:flex;gap:.5em;align-items:center}\
     #map{max-width:100%;cursor:crosshair;border:1px solid #999}#limit{width:6em}#legend{font-size:13px}\
-    .wide{overflow-x:auto}#readout{font-variant-numeric:tabular-nums}";
+    .wide{overflow-x:auto}.wide svg{min-width:640px}.note{color:#555}#readout{font-variant-numeric:tabular-nums}";
 
 /// Writes `report.html`.
 ///
@@ -68,6 +68,13 @@ fn page(summary: &Summary, map: &serde_json::Value) -> String {
     out.push_str(include_str!("map.html"));
     out.push_str("<h2>By class</h2>");
     out.push_str(&boxes(&summary.statistics));
+    let _ = write!(
+        out,
+        "<p class=\"note\">Line: from the 5th to the 95th per cent of the differences A − B; box: their middle half; bar: their \
+         median. In the table differences are in metres, n counts cells, and <i>within</i> is the share of cells whose \
+         difference is at most {} m.</p>",
+        summary.within_m
+    );
     out.push_str(
         "<div class=\"wide\"><table><tr><th>group<th>class<th>n<th>mean<th>median<th>SD<th>NMAD<th>RMSE<th>min<th>max<th>within</tr>",
     );
@@ -111,7 +118,7 @@ fn boxes(statistics: &[Statistics]) -> String {
     let high = filled.iter().map(|s| at(s, "95")).fold(f64::NEG_INFINITY, f64::max);
     let range = (high - low).max(1e-6);
     let x = |value: f64| 220.0 + 700.0 * (value - low) / range;
-    let mut out = format!("<svg viewBox=\"0 0 960 {}\" font-size=\"12\">", 18 * filled.len() + 30);
+    let mut out = format!("<div class=\"wide\"><svg viewBox=\"0 0 960 {}\" font-size=\"12\">", 18 * filled.len() + 30);
     for (row, s) in filled.iter().enumerate() {
         let y = 18.0 * row as f64 + 12.0;
         let _ = write!(
@@ -134,7 +141,7 @@ fn boxes(statistics: &[Statistics]) -> String {
     let y = 18 * filled.len() + 24;
     let _ = write!(
         out,
-        "<text x=\"220\" y=\"{y}\">{low:.2} m</text><text x=\"920\" y=\"{y}\" text-anchor=\"end\">{high:.2} m</text></svg>"
+        "<text x=\"220\" y=\"{y}\">{low:.2} m</text><text x=\"920\" y=\"{y}\" text-anchor=\"end\">{high:.2} m</text></svg></div>"
     );
     out
 }
@@ -147,7 +154,7 @@ fn variogram(summary: &Summary) -> String {
     let x = |lag: f64| 60.0 + 860.0 * (lag / first).ln() / (last.lag_m / first).ln().max(1e-9);
     let y = |value: f64| 260.0 - 240.0 * value / top;
     let mut out = String::from(
-        "<svg viewBox=\"0 0 960 290\" font-size=\"12\"><path d=\"M60 20V260H920\" fill=\"none\" stroke=\"#888\"/>",
+        "<div class=\"wide\"><svg viewBox=\"0 0 960 290\" font-size=\"12\"><path d=\"M60 20V260H920\" fill=\"none\" stroke=\"#888\"/>",
     );
     for bin in &v.bins {
         let _ = write!(
@@ -164,7 +171,9 @@ fn variogram(summary: &Summary) -> String {
     let _ = write!(
         out,
         "<polyline points=\"{}\" fill=\"none\" stroke=\"#c53\"/><text x=\"60\" y=\"278\">{first:.0} m</text>\
-         <text x=\"920\" y=\"278\" text-anchor=\"end\">{:.0} m</text><text x=\"64\" y=\"16\">{top:.4} m²</text></svg>",
+         <text x=\"920\" y=\"278\" text-anchor=\"end\">{:.0} m</text><text x=\"64\" y=\"16\">{top:.4} m²</text></svg></div>\
+         <p class=\"note\">Half the mean squared difference of two cells (m²) against how far they are apart; the line is \
+         the model that independent cells are counted by.</p>",
         line.join(" "),
         last.lag_m
     );

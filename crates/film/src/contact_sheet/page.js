@@ -32,7 +32,7 @@ const Sheet = (() => {
 
   function show(f) {
     const r = evaluate(f), touched = edits.some(e => e.frame === f.name);
-    f.small.textContent = (r.rmse_um === null ? "  no orientation" : "  " + r.n + " of " + f.marks.length + " marks, " + r.model + ", RMSE " + r.rmse_um.toFixed(1) + " µm") + (touched ? " · reviewed" : "");
+    f.small.textContent = (r.rmse_um === null ? "  no orientation" : "  " + r.n + " of " + f.marks.length + " marks, " + r.model + ", RMSE " + r.rmse_um.toFixed(1) + " µm") + (touched ? " · reviewed; the replay judges it" : "");
     for (const m of f.marks) {
       const s = held(f, m), d = r.residual_um[m.mark];
       m.t.replaceChildren(el("b", "", m.mark), el("span", s.used ? "used" : "left", " " + s.word),
@@ -100,8 +100,22 @@ const Sheet = (() => {
     });
   }
 
+  // Groups are those of the run: a frame that was changed is judged when the patch is replayed.
+  function counts() {
+    const parts = [];
+    for (const group of document.querySelectorAll(".group")) {
+      const list = frames.filter(f => f.status === group.dataset.status), changed = list.filter(f => edits.some(e => e.frame === f.name)).length;
+      const by = changed ? ", " + changed + " of them changed here" : "";
+      group.querySelector("h2").textContent = titles[group.dataset.status] + " (" + list.length + by + ")";
+      parts.push(list.length + " " + titles[group.dataset.status]);
+    }
+    $("counts").textContent = frames.length + " frame" + (frames.length === 1 ? "" : "s") + ": " + parts.join(", ") + ", worst first"
+      + (edits.length ? "; as the run found them, changes are judged by the replay. " : ". ");
+  }
+
   function say(text) {
     $("say").textContent = text;
+    counts();
     const looked = new Set(edits.map(e => e.frame)).size;
     $("save").textContent = "Save patch (" + edits.length + " edit" + (edits.length === 1 ? "" : "s") + ", " + looked + " frame" + (looked === 1 ? "" : "s") + ")";
   }
@@ -164,31 +178,29 @@ const Sheet = (() => {
     a.download = "fiducials.patch.json";
     a.click();
     saved = JSON.stringify(edits);
-    say("saved fiducials.patch.json");
+    say("saved fiducials.patch.json; replay it: the same fiducials command with --patch fiducials.patch.json");
   }
 
   function start() {
     frames.sort((a, b) => rank[a.status] - rank[b.status] || b.worst - a.worst || (a.name < b.name ? -1 : 1));
     order = frames;
-    const main = document.querySelector("main"), counts = [];
+    const main = document.querySelector("main");
     for (const status of Object.keys(rank)) {
       const list = frames.filter(f => f.status === status);
       if (!list.length) continue;
-      counts.push(list.length + " " + titles[status]);
       const group = el("div", "group"); group.dataset.status = status;
-      group.append(el("h2", status, titles[status] + " (" + list.length + ")"));
+      group.append(el("h2", status));
       for (const f of list) { group.append(build(f)); }
       main.append(group);
       for (const f of list) { show(f); seen.observe(f.e); }
     }
-    $("counts").textContent = frames.length + " frames: " + counts.join(", ") + ", worst first. ";
     $("save").addEventListener("click", save);
     $("show").addEventListener("change", () => {
       for (const g of document.querySelectorAll(".group")) g.classList.toggle("hide", $("show").value === "look" && g.dataset.status === "ok");
     });
     document.querySelectorAll("#zoom .c").forEach(c => c.addEventListener("click", k => {
-      const { f, m } = current, box = c.getBoundingClientRect(), unit = roll.side * m.step / box.width;
-      move(f, m, m.left + (k.clientX - box.left) * unit, m.top + (k.clientY - box.top) * unit);
+      const { f, m } = current, box = c.getBoundingClientRect(), side = roll.side * m.step;
+      move(f, m, m.left + (k.clientX - box.left) / box.width * side, m.top + (k.clientY - box.top) / box.height * side);
       m.e.focus({ preventScroll: true });
     }));
     addEventListener("beforeunload", e => { if (edits.length && JSON.stringify(edits) !== saved) e.preventDefault(); });

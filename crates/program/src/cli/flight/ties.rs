@@ -253,9 +253,9 @@ fn gather(database: &Database, job: &Job<'_>, warped: &[(usize, usize, Matrix3<f
     let mut points: Vec<KeyPoints> = Vec::with_capacity(count);
     for (i, counted) in counted.iter().enumerate() {
         let mut own = KeyPoints::default();
-        let scale = counted.layout().scale;
+        let layout = counted.layout();
         database.features(&format!("r{i}.png"))?.at.iter().for_each(|p| {
-            own.push(p.map(|v| v / scale));
+            own.push(layout.to_frame(*p));
         });
         points.push(own);
     }
@@ -269,11 +269,11 @@ fn gather(database: &Database, job: &Job<'_>, warped: &[(usize, usize, Matrix3<f
         }
         let Some((_, one)) = &first else { continue };
         let two = database.features(&format!("w{a}_{b}.png"))?;
-        let scale = counted[*a].layout().scale;
+        let layout = counted[*a].layout();
         let mut ties: Vec<(usize, usize)> = Vec::new();
         let window_px = job.views[*a].window_px.max(job.views[*b].window_px);
-        for (p, q) in matched(one, &two, [window_px * scale; 2]) {
-            let Some(in_b) = mapped(h, two.at[q].map(|v| v / scale)) else { continue };
+        for (p, q) in matched(one, &two, layout.scale.map(|scale| window_px * scale)) {
+            let Some(in_b) = mapped(h, layout.to_frame(two.at[q])) else { continue };
             if counted[*a].has(points[*a].at[p]) && counted[*b].has(in_b) {
                 ties.push((p, points[*b].join(in_b)));
             }

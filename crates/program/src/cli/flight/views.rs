@@ -129,7 +129,7 @@ impl Masks {
             let path = frames.join(name);
             let frame = Dataset::open(&path).with_context(|| format!("{}: cannot be read", path.display()))?;
             let (width, height) = frame.raster_size();
-            let layout = Layout { width, height, scale: 1.0 };
+            let layout = Layout::whole((width, height));
             let target = into.join(format!("{name}.png"));
             let Some(mut pixels) = self.read(name, (width, height), &layout)? else {
                 // That of an earlier run would still hold.
@@ -170,7 +170,7 @@ impl Masks {
         let path = frames.join(&to.frame);
         let frame = Dataset::open(&path).with_context(|| format!("{}: cannot be read", path.display()))?;
         let (width, height) = frame.raster_size();
-        let layout = Layout { width, height, scale: 1.0 };
+        let layout = Layout::whole((width, height));
         let pixels = self.read(&to.frame, (width, height), &layout)?.unwrap_or_else(|| vec![1; width * height]);
         let size = [width, height];
         atomic::with_temporary(&to.mask, |temporary| mask_of_bytes(temporary, size, &pixels))?;
@@ -208,8 +208,8 @@ impl Counted {
 
     /// Whether a pixel of the frame is inside and not masked.
     pub fn has(&self, pixel: [f64; 2]) -> bool {
-        let Layout { width, height, scale } = self.layout;
-        let [x, y] = pixel.map(|v| v * scale);
+        let Layout { width, height, .. } = self.layout;
+        let [x, y] = self.layout.of_frame(pixel);
         let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
         inside && self.mask.as_ref().is_none_or(|m| m[y as usize * width + x as usize] != 0)
     }
@@ -301,7 +301,7 @@ mod tests {
 
     fn picture(path: &Path, (width, height): (usize, usize), value: impl Fn(usize, usize) -> u8) {
         let pixels = (0..width * height).map(|i| value(i % width, i / width)).collect();
-        write_png(&Grey::new(Layout { width, height, scale: 1.0 }, pixels), path).expect("writable");
+        write_png(&Grey::new(Layout::whole((width, height)), pixels), path).expect("writable");
     }
 
     #[test]
