@@ -151,9 +151,11 @@ impl<'a> Search<'a> {
         let field = Field::new(candidates.iter().map(|c| c.centre).collect(), priors.image_size_px)
             .with_sizes(candidates.iter().map(side).collect());
         let (pairs, possible) = gcp_pairs(&field, gcps, priors);
-        if possible < 1.0 {
+        if pairs.is_empty() {
             return None;
         }
+        // Of few marks narrow priors leave less than one by chance; one test is made all the same.
+        let possible = possible.max(1.0);
         let bitmaps = Bitmap::all(&field);
         let density = field.density();
         let (least, most) = SEARCH_TOLERANCE_PX;

@@ -288,6 +288,23 @@ fn e6_ten_visible_among_twenty_thousand_with_north_up() {
     assert!(score.right * 100 >= count * 99, "{score:?}");
 }
 
+/// What is known already leaves less than one pattern by chance among so few.
+#[test]
+fn narrow_priors_hide_no_pattern_of_few_marks() {
+    let mut random = Random::new(40);
+    for visible in [4, 6] {
+        let gcps: Vec<Gcp> = (0..visible)
+            .map(|i| Gcp::control(format!("{i}"), random.uniform(0.0, 100.0), random.uniform(0.0, 300.0)))
+            .collect();
+        for half_deg in [5.0, 1.0, 0.2] {
+            let known = Priors { rotation_deg: Some((0.0, half_deg)), ..priors((0.0299, 0.0301)) };
+            let count = crate::common::trials(5, 300);
+            let score = trials(&kind(visible, 0, half_deg), &known, &gcps, count, 41);
+            assert_eq!((score.right, score.wrong), (count, 0), "{visible} marks, ± {half_deg}°: {score:?}");
+        }
+    }
+}
+
 #[test]
 fn nothing_there_is_refused() {
     let Some(gcps) = crate::common::thesis_gcps("thesis/b2_e6_gcps.csv") else { return };

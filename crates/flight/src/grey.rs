@@ -19,8 +19,8 @@ pub struct Layout {
     pub width: usize,
     /// Likewise.
     pub height: usize,
-    /// Pixels of this per pixel of the frame, along its rows and its columns: both sizes are whole, so that the two differ
-    /// a little.
+    /// Pixels of this per pixel of the frame, along its rows and its columns: both sizes are whole, so that the two
+    /// differ a little.
     pub scale: [f64; 2],
 }
 
