@@ -14,7 +14,7 @@ const STYLE: &str = "body{font:15px/1.45 sans-serif;max-width:1000px;margin:2em 
     td:first-child,th:first-child,td:nth-child(2),th:nth-child(2){text-align:left}svg{max-width:100%}\
     .bar{display:flex;flex-wrap:wrap;gap:.4em 1.4em;align-items:center}.bar label{display:flex;gap:.5em;align-items:center}\
     #map{max-width:100%;cursor:crosshair;border:1px solid #999}#limit{width:6em}#legend{font-size:13px}\
-    .wide{overflow-x:auto}.wide svg{min-width:640px}.note{color:#555}#readout{font-variant-numeric:tabular-nums}";
+    .wide{overflow-x:auto}.wide svg{min-width:640px}.note{color:#555}#readout{font-variant-numeric:tabular-nums;flex-basis:100%;min-height:2.9em}";
 
 /// Writes `report.html`.
 ///
