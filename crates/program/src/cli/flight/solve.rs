@@ -45,6 +45,8 @@ pub struct SolveArgs {
     /// The last stage to work; the next run goes on from there.
     #[arg(long, value_enum, default_value_t = Stage::Cameras, value_name = "STAGE")]
     until: Stage,
+    #[command(flatten)]
+    force: plausible::ForceArgs,
     /// Work every stage anew.
     #[arg(long)]
     overwrite: bool,
@@ -270,6 +272,11 @@ impl<'a> Ready<'a> {
     fn control(&self, model: &Reconstruction) -> Result<(lists::Control, Vec<String>)> {
         let Some(points) = &self.points else {
             return Ok((self.control.clone().unwrap_or_default(), vec![camera_tables::NO_GCPS.to_string()]));
+    /// The rough table's file.
+    fn table(&self) -> Option<PathBuf> {
+        self.project.rough.as_ref().map(|rough| self.base.join(&rough.table))
+    }
+
         };
         let mut control = points.load(Some(model))?;
         let ground_m = self.project.gcps.as_ref().map_or(default_ground_m(), |gcps| gcps.sigma_ground_m);
@@ -311,6 +318,8 @@ impl<'a> Ready<'a> {
         let untied = ties.as_ref().and_then(|ties| runs::untied(plan, &flight.ordered, ties));
 
         // MicMac has compensated the interior with the poses.
+        let (list, table) = (self.points.as_ref().map(|p| p.gcps.as_path()), self.table());
+        let hung = plausible::upside_down(placed.upside_down, [list, table.as_deref()], &self.args.force)?;
         let interior = if by_micmac { Vec::new() } else { interior(&project.adjust.free, "adjust.free")? };
         let usual = AdjustOptions::default();
         let least_sigma_tie_px = if oriented.laid > 0 { LEAST_LAID_PX } else { usual.least_sigma_tie_px };
@@ -318,7 +327,9 @@ impl<'a> Ready<'a> {
         let steps = Steps::new("adjusting", 0);
         let mut found = adjust(model, &ground, &options)?;
         drop(steps);
-        found.notes.extend(turned.into_iter().chain(untied).chain(notes));
+        found.notes.extend(hung.into_iter().chain(turned).chain(untied).chain(notes));
+        let (poses, places) = (found.photographs.iter().map(|p| &p.pose), ground.iter().map(|p| &p.xyz));
+        found.notes.extend(plausible::below_ground(poses, places, &world));
         found.notes.extend(self.left_out.iter().cloned());
         if by_micmac {
             found.notes.push(micmac::note());
