@@ -117,7 +117,7 @@ impl Datum {
         match table {
             Some(table) => {
                 let rows = camera_tables::cameras(table, args.angles.angles())?;
-                let rows = camera_tables::on_map(rows, table, datum.control.crs.as_ref())?;
+                let rows = camera_tables::in_map(rows, table, datum.control.crs.as_ref())?;
                 datum.weight_by(&rows, table, args, model)?;
             }
             None => datum.rough = kept_datum(&datum, model),
@@ -136,7 +136,7 @@ impl Datum {
         let local = how.crs.as_deref().is_some_and(lists::is_local);
         let stated = how.crs.as_deref().filter(|_| !local).map(Crs::parse).transpose()?;
         let crs = if local { None } else { camera_tables::map_of(&rows, stated)? };
-        let rows = camera_tables::on_map(rows, table, crs.as_ref())?;
+        let rows = camera_tables::in_map(rows, table, crs.as_ref())?;
         let of_block = rows.iter().filter(|row| model.find(&row.name).is_some()).cloned().collect::<Vec<_>>();
         let names: Vec<&str> = model.photographs.iter().map(|p| p.name.as_str()).collect();
         camera_tables::unmatched(&rows, table, &names)?;

@@ -154,6 +154,10 @@ impl<'a> Ready<'a> {
                 args.project.display()
             ),
         }
+        // What lies outside its CRS is refused before the frames are matched.
+        if let Some(known) = &control {
+            known.world()?;
+        }
         let names: Vec<&str> = frames.names.iter().map(String::as_str).collect();
         let lost = match &project.rough {
             Some(rough) => camera_tables::unmatched(&frames.rows, &base.join(&rough.table), &names)?,
