@@ -135,6 +135,14 @@ impl Control {
         world_of(self.crs.as_ref(), self.cameras_at.unwrap_or_else(|| [mean(0), mean(1), mean(2)]))
     }
 
+    /// The world about the middle of a camera table's rows, which stays where it is whatever becomes of the list.
+    ///
+    /// # Errors
+    /// When they lie outside the CRS.
+    pub fn world_of_table(&self, rows: &[CameraRow]) -> Result<World> {
+        world_of(self.crs.as_ref(), middle(rows))
+    }
+
     /// The frames that the list names, in order, each once.
     pub fn frames(&self) -> Vec<String> {
         let mut names: Vec<String> = Vec::new();
