@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use autoref_flight::read::Photograph;
 use serde_json::Value;
 
 use super::flight::{F_PX, Place, autoref, expect, has_the_keys, json, said, text, write_program};
@@ -239,6 +240,23 @@ fn positions_place_a_block_without_gcps() {
     let found = document();
     assert!(place.flight.worst_camera_m(&found) < 0.1, "{} m", place.flight.worst_camera_m(&found));
     assert!(sigma_m(&found) < 0.05 && loose_m > 5.0, "{} and {loose_m} m", sigma_m(&found));
+    // The northing first: on a plane of one's own the block hangs upside down, in a real CRS only one order can be.
+    let north_first = |[east, north]: [f64; 2]| -> String {
+        let row = |p: &Photograph| {
+            let c = p.pose.centre;
+            format!("{},{:.4},{:.4},{:.4},0.5,0.5\n", p.name, c.y + north, c.x + east, c.z)
+        };
+        let rows: String = place.flight.model.photographs.iter().map(row).collect();
+        format!("name,x,y,z,sigma_m,sigma_height_m\n{rows}")
+    };
+    place.write("table.csv", &north_first([0.0; 2]));
+    expect(&solve(&bare), 1, &["table.csv: its positions", "easting and northing", "--force upside-down"]);
+    place.write("table.csv", &north_first([4e5, 7e6]));
+    project.insert("crs".into(), "EPSG:25833".into());
+    let utm = place.write("utm.toml", &project.to_string());
+    expect(&solve(&utm), 0, &["table.csv: all its positions lie in", "only with the northing first"]);
+    let east_m = document()["cameras"][0]["e"].as_f64().expect("an easting");
+    assert!((east_m - 4e5 - place.flight.model.photographs[0].pose.centre.x).abs() < 2.0, "{east_m}");
     place.write("table.csv", "name,x,y,z,sigma_m\nf0.png,1,2,3,0\n");
     expect(&solve(&bare), 2, &["table.csv", "row 2", "a standard deviation of 0 m"]);
     place.write("table.csv", "name,x,y,z\nf0.png,1,2,3\nf1.png,1,9,3\n");

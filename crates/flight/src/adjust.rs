@@ -15,6 +15,7 @@ mod screening;
 mod snooping;
 mod standing;
 mod survey;
+mod upside_down;
 
 use nalgebra::Vector3;
 
@@ -31,6 +32,7 @@ use self::screening::Screened;
 use self::snooping::Snooped;
 use self::standing::Standing;
 pub use self::survey::{GroundPoint, Role};
+pub use self::upside_down::UpsideDown;
 use crate::bundle::{
     BundleCamera, BundleFrame, BundlePoint, Deviations, FROM_NEAR, Loss, Observation, Options, Problem, Treatment,
     Trust, solve,

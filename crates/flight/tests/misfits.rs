@@ -36,11 +36,8 @@ fn lists_that_are_wrong_as_a_whole_are_refused() {
     assert!(!fine.contains("would fit if") && !fine.contains("half of the"), "{fine}");
 }
 
-/// A block flown straight down whose principal point is held where it is not: the lens is said to lack it, and the
-/// deviations count it in.
-#[test]
-fn a_principal_point_that_is_held_and_wrong_is_said() {
-    let mut draw = Draw::new(82);
+/// A block of three lines flown straight down, 100 m above ground that rises by `relief_m` to each side of 0; all true.
+fn straight_down(draw: &mut Draw, relief_m: f64) -> (Reconstruction, Vec<GroundPoint>) {
     let camera = Camera::pinhole("c", [1500.0, 1200.0], 1480.0, [765.0, 592.0]);
     let mut model = Reconstruction { cameras: vec![camera.clone()], ..Reconstruction::default() };
     for i in 0..18 {
@@ -52,7 +49,7 @@ fn a_principal_point_that_is_held_and_wrong_is_said() {
     }
     let mut points = Vec::new();
     while model.ties.len() < 800 {
-        let x = Vector3::new(draw.uniform(-30.0, 155.0), draw.uniform(-30.0, 110.0), draw.uniform(-3.0, 3.0));
+        let x = Vector3::new(draw.uniform(-30.0, 155.0), draw.uniform(-30.0, 110.0), draw.uniform(-relief_m, relief_m));
         let all = model.photographs.iter().enumerate();
         let seen: Vec<(usize, [f64; 2])> = all
             .filter_map(|(i, p)| {
@@ -71,6 +68,15 @@ fn a_principal_point_that_is_held_and_wrong_is_said() {
             (true, _) => model.ties.push(TiePoint { xyz: x, seen }),
         }
     }
+    (model, points)
+}
+
+/// A block flown straight down whose principal point is held where it is not: the lens is said to lack it, and the
+/// deviations count it in.
+#[test]
+fn a_principal_point_that_is_held_and_wrong_is_said() {
+    let mut draw = Draw::new(82);
+    let (mut model, mut points) = straight_down(&mut draw, 3.0);
     noisy(&mut draw, &mut model, &mut points, 0.3, 0.02);
     let found = |at: [f64; 2], interior: Vec<(Parameter, Option<f64>)>| {
         let mut start = shaken(&mut Draw::new(83), &model);
@@ -189,4 +195,33 @@ fn positions_of_another_datum_than_the_gcps_are_told() {
     points[4].xyz.z += 40.0;
     let gcp = found(Vector3::zeros(), &[], &points);
     assert!(told(&gcp).is_none() && gcp.blunders.iter().all(|b| b.gcp == "G4"), "{:?} {:?}", gcp.notes, gcp.blunders);
+}
+
+/// GCPs on level ground whose columns are exchanged put the cameras below it. Positions above are no other datum.
+#[test]
+fn positions_beyond_the_ground_are_of_no_other_datum() {
+    let mut draw = Draw::new(85);
+    let (mut model, mut points) = straight_down(&mut draw, 0.01);
+    model.ties.truncate(40);
+    noisy(&mut draw, &mut model, &mut points, 0.3, 0.02);
+    let told = |exchanged: bool, up_m: f64| {
+        let place = |at: Vector3<f64>| if exchanged { Vector3::new(at.y, at.x, at.z) } else { at };
+        let mut points = points.clone();
+        points.iter_mut().for_each(|p| p.xyz = place(p.xyz));
+        let rough = |p: &Photograph| {
+            let pose = Pose { centre: place(p.pose.centre) + Vector3::new(0.0, 0.0, up_m), ..p.pose };
+            Some(RoughPose { pose, sigma_m: Vector3::repeat(2.0), sigma_rad: f64::INFINITY })
+        };
+        let rough = model.photographs.iter().map(rough).collect();
+        let start = shaken(&mut Draw::new(86), &model);
+        let options = AdjustOptions { rough, interior: Vec::new(), sigma_image_px: 0.3, ..AdjustOptions::default() };
+        let found = adjust(&start, &points, &options);
+        let notes = found.map_or_else(|refused| vec![refused.to_string()], |found| found.notes);
+        notes.into_iter().find(|note| note.contains("where the GCPs put the cameras"))
+    };
+    assert_eq!(told(true, 0.0), None);
+    let datum = told(false, 45.0).expect("45 m");
+    assert!(datum.contains("another datum"), "{datum}");
+    let other = told(false, 300.0).expect("300 m");
+    assert!(other.contains("more than datums differ by"), "{other}");
 }

@@ -246,6 +246,37 @@ fn positions_alone_place_a_block() {
     expect(&adjust(&["--cameras", text(&two)]), 2, &["two.csv", "2 positions", "3 are needed"]);
 }
 
+/// Positions whose columns are exchanged are those of a mirror image: a block of frames that look down would look up.
+#[test]
+fn exchanged_positions_hang_a_block_upside_down() {
+    let place = Place::new();
+    place.flight.write_model(&place.at("model"));
+    let model = place.at("model");
+    let adjusted = |exchanged: bool, directed: bool, more: &[&str]| {
+        let heading = if directed { "name,x,y,z,yaw,pitch,roll\n" } else { "name,x,y,z\n" };
+        let rows = place.flight.model.photographs.iter().map(|p| {
+            let (c, a) = (p.pose.centre, p.pose.yaw_pitch_roll());
+            let [x, y] = if exchanged { [c.y, c.x] } else { [c.x, c.y] };
+            let direction = format!(",{},{},{}", a.yaw_deg, a.pitch_deg, a.roll_deg);
+            format!("{},{x},{y},{}{}\n", p.name, c.z, if directed { direction.as_str() } else { "" })
+        });
+        let table = place.write("table.csv", &rows.fold(heading.into(), |all: String, row| all + &row));
+        let words = ["flight", "adjust", text(&model), "--cameras", text(&table), "--crs", "local"];
+        autoref(&[&words[..], &["--sigma-position", "0.5", "--json"], more].concat(), None, &[])
+    };
+    for directed in [false, true] {
+        let right = adjusted(false, directed, &[]);
+        expect(&right, 0, &[]);
+        let is_told = |document: &Value| document["notes"].to_string().contains("correct what mirrors it");
+        assert!(!is_told(&json(&right)), "{}", json(&right)["notes"]);
+        let mirrored = adjusted(true, directed, &[]);
+        expect(&mirrored, 1, &["table.csv: its positions", "easting and northing", "--force upside-down"]);
+        assert!(!said(&mirrored).contains("were these frames turned"), "{}", said(&mirrored));
+        let forced = adjusted(true, directed, &["--force", "upside-down"]);
+        assert!(!said(&forced).contains("or go on with --force"), "{}", said(&forced));
+    }
+}
+
 /// In EPSG:3413 at 45° east the map's x leads south, and its y east: what errs by 30 m in x is said to.
 #[test]
 fn a_wrong_survey_is_said_along_the_axes_of_the_map() {

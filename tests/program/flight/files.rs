@@ -32,6 +32,11 @@ fn init_writes_what_solve_reads_and_refuses_what_is_not_there() {
     expect(&init(&frames, &others, &gcps, "a.toml"), 2, &["others.csv", "none of its 1 names"]);
     let broken = place.write("broken.csv", "name,x,y,z\nf0,1,two,3\n");
     expect(&init(&frames, &broken, &gcps, "a.toml"), 2, &["broken.csv", "row 2", "`two`"]);
+    // Northings of a table that stand first are told where the CRS shows them.
+    let north_first = place.write("north.csv", "name,x,y,z\nf0,7000000,400000,9\nf1,7000100,400000,9\n");
+    let utm = place.at("utm.toml");
+    let words = ["flight", "init", text(&frames), "--cameras", text(&north_first), "-o", text(&utm)];
+    expect(&autoref(&[&words[..], &["--crs", "EPSG:25833"]].concat(), None, &[]), 0, &["only with the northing first"]);
     std::fs::create_dir(place.at("empty")).expect("a folder");
     expect(&init(&place.at("empty"), &table, &gcps, "a.toml"), 2, &["empty", "no frames"]);
     for option in ["--check", "--observations"] {

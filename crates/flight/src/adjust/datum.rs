@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::options::RoughPose;
 use super::survey::{GroundPoint, Role};
+use super::upside_down::{Placing, UpsideDown, upside_down};
 use super::{astray, reason};
 use crate::error::{Error, Result};
 use crate::intersect::{datum, intersect_seen};
@@ -18,6 +19,8 @@ pub struct OnGround {
     pub similarity: Similarity,
     /// Where the rays of each point meet − its survey, metres; `None` of points that fewer than two photographs show.
     pub residuals: Vec<Option<Vector3<f64>>>,
+    /// The block seems to be placed as its mirror image.
+    pub upside_down: Option<UpsideDown>,
 }
 
 /// Seven parameters from the control points (three and more, seen in two photographs each), else from the rough poses,
@@ -28,12 +31,64 @@ pub struct OnGround {
 pub fn on_ground(model: &Reconstruction, points: &[GroundPoint], rough: &[Option<RoughPose>]) -> Result<OnGround> {
     let (model, points) = &astray::without(&astray::frames(model, points), model, points);
     let control: Vec<&GroundPoint> = points.iter().filter(|p| p.role == Role::Control && !p.seen.is_empty()).collect();
-    let similarity = placing(model, &control, rough)?;
+    let mut pairs = Pairs::of(model, &control);
+    let (similarity, by_gcps) = pairs.place(model, &control, rough)?;
     let left = |p: &GroundPoint| {
         let seen = (p.seen.len() >= 2).then_some(&p.seen)?;
         Some(similarity.apply(&intersect_seen(model, seen)?) - p.xyz)
     };
-    Ok(OnGround { similarity, residuals: points.iter().map(left).collect() })
+    let residuals = points.iter().map(left).collect();
+    let by = if by_gcps { pairs.placing(&control) } else { placing_positions(model, rough) };
+    Ok(OnGround { upside_down: upside_down(model, rough, &similarity, &by), similarity, residuals })
+}
+
+/// GCPs where their rays meet in the model, and where they were surveyed.
+struct Pairs {
+    from: Vec<Vector3<f64>>,
+    to: Vec<Vector3<f64>>,
+    /// Why they do not place the block.
+    refused: Option<Error>,
+}
+
+impl Pairs {
+    fn of(model: &Reconstruction, control: &[&GroundPoint]) -> Self {
+        let meeting = control.iter().filter(|p| p.seen.len() >= 2);
+        let meeting = meeting.filter_map(|p| Some((intersect_seen(model, &p.seen)?, p.xyz)));
+        let (from, to): (Vec<_>, Vec<_>) = meeting.unzip();
+        let refused = in_line(control).or_else(|| unlike(model, control, &from, &to));
+        Pairs { from, to, refused }
+    }
+
+    /// What brings the model to the ground, the GCPs' rays and surveys, else the rough poses; and whether GCPs do.
+    fn place(
+        &mut self,
+        model: &Reconstruction,
+        control: &[&GroundPoint],
+        rough: &[Option<RoughPose>],
+    ) -> Result<(Similarity, bool)> {
+        let count = self.from.len();
+        let by_gcps = if count >= 3 && self.refused.is_none() { datum(&self.from, &self.to) } else { None };
+        if let Some(similarity) = by_gcps {
+            return Ok((similarity, true));
+        }
+        match (by_rough_poses(model, rough), self.refused.take()) {
+            (Some(similarity), _) => Ok((similarity, false)),
+            (None, Some(error)) if count >= 3 => Err(error),
+            (None, _) => Err(reason::explained(unplaced(model, control, count), model, control)),
+        }
+    }
+
+    fn placing(self, control: &[&GroundPoint]) -> Placing {
+        let mut sigmas: Vec<f64> = control.iter().map(|p| p.sigma.max()).collect();
+        Placing { by_gcps: true, from: self.from, to: self.to, sigma_m: upper_median(&mut sigmas).unwrap_or(0.0) }
+    }
+}
+
+fn placing_positions(model: &Reconstruction, rough: &[Option<RoughPose>]) -> Placing {
+    let known = || model.photographs.iter().zip(rough).filter_map(|(p, r)| Some((p, r.as_ref()?)));
+    let (from, to) = known().map(|(p, r)| (p.pose.centre, r.pose.centre)).unzip();
+    let mut sigmas: Vec<f64> = known().map(|(_, r)| r.sigma_m.max()).collect();
+    Placing { by_gcps: false, from, to, sigma_m: upper_median(&mut sigmas).unwrap_or(0.0) }
 }
 
 /// What brings the model to the ground: the GCPs' rays and surveys, else the rough poses.
@@ -42,22 +97,7 @@ pub(super) fn placing(
     control: &[&GroundPoint],
     rough: &[Option<RoughPose>],
 ) -> Result<Similarity> {
-    let (mut from, mut to) = (Vec::new(), Vec::new());
-    for p in control.iter().filter(|p| p.seen.len() >= 2) {
-        if let Some(x) = intersect_seen(model, &p.seen) {
-            from.push(x);
-            to.push(p.xyz);
-        }
-    }
-    let refused = in_line(control).or_else(|| unlike(model, control, &from, &to));
-    let mut move_by = if from.len() >= 3 && refused.is_none() { datum(&from, &to) } else { None };
-    if move_by.is_none() {
-        move_by = by_rough_poses(model, rough);
-    }
-    move_by.ok_or_else(|| match refused {
-        Some(error) if from.len() >= 3 => error,
-        _ => reason::explained(unplaced(model, control, from.len()), model, control),
-    })
+    Ok(Pairs::of(model, control).place(model, control, rough)?.0)
 }
 
 /// What is to be said of GCPs that lie on one line but for what they may err: the block would turn about it as its

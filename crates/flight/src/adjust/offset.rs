@@ -3,13 +3,14 @@
 
 use std::collections::HashMap;
 
+use autoref_raster::ranks::upper_median;
 use nalgebra::{Matrix3, Vector3};
 
 use super::positions;
 use super::snooping::LOSS;
 use super::standing::Standing;
 use super::survey::GroundPoint;
-use crate::bundle::{BundleCamera, Problem, Treatment};
+use crate::bundle::{BundleCamera, BundleFrame, Problem, Treatment};
 use crate::camera::Parameter;
 
 /// χ² of three numbers that one offset in a thousand exceeds by chance.
@@ -60,6 +61,9 @@ pub(super) fn is_doubtless(standing: &Standing) -> bool {
 pub(super) fn is_borne_out(with: &Standing, without: Option<&Standing>) -> bool {
     let Some(offset) = with.problem.offset else { return false };
     let Some(covariance) = with.deviations.as_ref().and_then(|d| d.offset()) else { return false };
+    if are_across(&with.problem) {
+        return false;
+    }
     let is_known = |frame: &usize| !with.problem.frames[*frame].is_held();
     let frames = (0..with.problem.frames.len()).filter(is_known);
     let off: Vec<Vector3<f64>> = frames.filter_map(|frame| with.problem.position_off(frame)).collect();
@@ -74,6 +78,17 @@ pub(super) fn is_borne_out(with: &Standing, without: Option<&Standing>) -> bool 
             let left_out = known(without).saturating_sub(known(with));
             price(with, &with.problem, left_out) + CHI2 < price(without, &with.problem, 0)
         })
+}
+
+/// Whether positions have most cameras above the GCPs and the block has them below: a mirror image and no datum.
+fn are_across(problem: &Problem) -> bool {
+    let mut heights: Vec<f64> = problem.points.iter().filter_map(|p| Some(p.survey?.0.z)).collect();
+    let Some(ground_m) = upper_median(&mut heights) else { return false };
+    let known = positions::known(problem).count();
+    let across = |(frame, (at, _)): &(&BundleFrame, (Vector3<f64>, Vector3<f64>))| {
+        at.z > ground_m && frame.pose.centre.z < ground_m
+    };
+    2 * positions::known(problem).filter(across).count() > known
 }
 
 /// What a block costs with its ties as good as those of `as_good_as`, and with a price for each GCP that is called
@@ -113,6 +128,8 @@ pub(super) fn doubt(apart: &Standing) -> Option<String> {
 fn contradiction(standing: &Standing) -> Option<String> {
     /// Standard deviations below which a part is not worth saying.
     const SAID: f64 = 3.0;
+    /// What datums differ by at most, in plan and in height (the geoid by 107 m from the ellipsoid), metres.
+    const MOST_M: [f64; 2] = [1000.0, 150.0];
     let offset = standing.problem.offset?;
     let covariance = standing.deviations.as_ref().and_then(|d| d.offset())?;
     let [x, y, z] = [0, 1, 2].map(|i| covariance[(i, i)].max(0.0).sqrt());
@@ -129,8 +146,10 @@ fn contradiction(standing: &Standing) -> Option<String> {
         true => ", or the focal length, which is held, is wrong",
         false => "",
     };
-    Some(format!(
-        "the positions lie {lie} where the GCPs put the cameras: another datum of one of both (heights above the ellipsoid \
-         beside heights above the geoid), a receiver's offset, or GCPs that are wrong{lens}"
-    ))
+    let cause = if offset.z.abs() > MOST_M[1] || plan > MOST_M[0] {
+        "more than datums differ by: digits that one of both leaves out, positions of another flight"
+    } else {
+        "another datum of one of both (heights above the ellipsoid beside heights above the geoid), a receiver's offset"
+    };
+    Some(format!("the positions lie {lie} where the GCPs put the cameras: {cause}, or GCPs that are wrong{lens}"))
 }

@@ -48,6 +48,8 @@ pub struct AdjustArgs {
     /// 1σ of rough directions. Default: 2 degrees.
     #[arg(long, value_name = "DEG", requires = "cameras")]
     sigma_direction: Option<f64>,
+    #[command(flatten)]
+    force: plausible::ForceArgs,
     /// Where to write cameras.json.
     #[arg(short, long, value_name = "JSON")]
     output: Option<PathBuf>,
@@ -115,7 +117,7 @@ impl Datum {
         match table {
             Some(table) => {
                 let rows = camera_tables::cameras(table, args.angles.angles())?;
-                let rows = camera_tables::on_map(rows, table, datum.control.crs.as_ref())?;
+                let rows = camera_tables::in_map(rows, table, datum.control.crs.as_ref())?;
                 datum.weight_by(&rows, table, args, model)?;
             }
             None => datum.rough = kept_datum(&datum, model),
@@ -134,7 +136,7 @@ impl Datum {
         let local = how.crs.as_deref().is_some_and(lists::is_local);
         let stated = how.crs.as_deref().filter(|_| !local).map(Crs::parse).transpose()?;
         let crs = if local { None } else { camera_tables::map_of(&rows, stated)? };
-        let rows = camera_tables::on_map(rows, table, crs.as_ref())?;
+        let rows = camera_tables::in_map(rows, table, crs.as_ref())?;
         let of_block = rows.iter().filter(|row| model.find(&row.name).is_some()).cloned().collect::<Vec<_>>();
         let names: Vec<&str> = model.photographs.iter().map(|p| p.name.as_str()).collect();
         camera_tables::unmatched(&rows, table, &names)?;
@@ -152,7 +154,7 @@ impl Datum {
         Ok(datum)
     }
 
-    /// What a camera table says counts with its deviations; directions that the block contradicts are let go of.
+    /// What a camera table says counts with its deviations.
     fn weight_by(&mut self, rows: &[CameraRow], table: &Path, args: &AdjustArgs, model: &Reconstruction) -> Result<()> {
         let names: Vec<&str> = model.photographs.iter().map(|p| p.name.as_str()).collect();
         self.notes.extend(camera_tables::unmatched(rows, table, &names)?);
@@ -177,8 +179,17 @@ impl Datum {
                 self.rough[i] = camera_tables::rough_pose(row, &self.world, sigma_m, sigma_rad);
             }
         }
+        Ok(())
+    }
+
+    /// Refuses a block that hangs upside down; lets go of directions of a table that the block contradicts.
+    fn stand(&mut self, args: &AdjustArgs, model: &Reconstruction) -> Result<()> {
         let placed = on_ground(model, &self.points, &self.rough)?;
-        self.notes.extend(footprints::let_go_of_turned(&mut self.rough, model, &placed.similarity));
+        let lists = [args.gcps.as_deref(), args.cameras.as_deref()];
+        self.notes.extend(plausible::upside_down(placed.upside_down, lists, &args.force)?);
+        if args.cameras.is_some() {
+            self.notes.extend(footprints::let_go_of_turned(&mut self.rough, model, &placed.similarity));
+        }
         Ok(())
     }
 }
@@ -209,10 +220,12 @@ pub fn run(args: &AdjustArgs) -> Result<ExitCode> {
     model.drop_unused_cameras();
     worlds::straighten(&mut model, &args.reconstruction)?;
     let has_ties = !model.ties.is_empty();
-    let Datum { control, world, points, rough, mut notes, said } = Datum::of(args, &model)?;
+    let mut datum = Datum::of(args, &model)?;
     if !has_ties {
         model.ties = ties_of_poses(&model);
     }
+    datum.stand(args, &model)?;
+    let Datum { control, world, points, rough, mut notes, said } = datum;
     let (sigma_tie_px, interior) = match (has_ties, model.ties.is_empty()) {
         (true, _) => (args.sigma_tie, interior),
         (false, true) => {
@@ -239,8 +252,8 @@ pub fn run(args: &AdjustArgs) -> Result<ExitCode> {
         forget_ties(&mut found);
     }
     found.notes.extend(notes);
-    let (poses, ground) = (found.photographs.iter().map(|p| &p.pose), points.iter().map(|p| &p.xyz));
-    found.notes.extend(plausible::below_ground(poses, ground, &world));
+    let (poses, places) = (found.photographs.iter().map(|p| &p.pose), points.iter().map(|p| &p.xyz));
+    found.notes.extend(plausible::below_ground(poses, places, &world));
     let listed = model.photographs.len();
     let document = CamerasDocument::of(&found, &model, &world, listed, control.crs_label());
     finish(&document, args.output.as_deref(), args.json)?;

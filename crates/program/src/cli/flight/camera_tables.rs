@@ -126,6 +126,31 @@ pub fn on_map(rows: Vec<CameraRow>, table: &Path, crs: Option<&Crs>) -> Result<V
     brought(rows, table, crs)
 }
 
+/// [`on_map`] of rows that stand in this map and no other: northings that come first are exchanged where the area of
+/// use of `crs` allows nothing else, and that is said; so are rows of which none lies in it.
+///
+/// # Errors
+/// Those of [`on_map`].
+pub fn in_map(rows: Vec<CameraRow>, table: &Path, crs: Option<&Crs>) -> Result<Vec<CameraRow>> {
+    let mut rows = on_map(rows, table, crs)?;
+    let Some(crs) = crs.filter(|crs| !crs.is_local() && !crs.is_geographic()) else { return Ok(rows) };
+    if rows.is_empty() || rows.iter().any(|row| crs.covers(row.xyz[0], row.xyz[1]) != Some(false)) {
+        return Ok(rows);
+    }
+    let (table, title) = (table.display(), crs.title());
+    let lie = if rows.len() == 1 { "its position lies" } else { "all its positions lie" };
+    let exchanged = rows.iter().filter(|row| crs.covers(row.xyz[1], row.xyz[0]) == Some(true)).count();
+    // Single rows may be in nowhere.
+    if 2 * exchanged > rows.len() {
+        tracing::warn!("{table}: {lie} in {title} only with the northing first; easting and northing are exchanged");
+        rows.iter_mut().for_each(|row| row.xyz.swap(0, 1));
+    } else {
+        // One zone of UTM is used far beyond its edges where a country keeps to it.
+        tracing::warn!("{table}: {lie} outside the area of use of {title}; is it the --crs, or crs in FLIGHT.toml?");
+    }
+    Ok(rows)
+}
+
 /// [`on_map`] of rows whose units are known.
 pub fn brought(mut rows: Vec<CameraRow>, table: &Path, crs: Option<&Crs>) -> Result<Vec<CameraRow>> {
     let Some(first) = rows.iter().find(|row| row.geographic) else { return Ok(rows) };

@@ -145,7 +145,7 @@ fn image_pattern(folder: &Path) -> Result<Vec<String>> {
     Ok(pattern)
 }
 
-/// Refuses a camera table that names none of the frames; tells how many it names.
+/// Refuses a camera table that names none of the frames or lies outside the CRS; tells how many it names.
 fn check_table(args: &InitArgs, folder: &Path, names: &[String]) -> Result<()> {
     let Some(table) = &args.cameras else { return Ok(()) };
     let rows = camera_tables::cameras(table, args.angles.angles())?;
@@ -154,6 +154,11 @@ fn check_table(args: &InitArgs, folder: &Path, names: &[String]) -> Result<()> {
         bail!("{}: none of its {} names is a frame of {}", table.display(), rows.len(), folder.display());
     }
     eprintln!("{known} of {} rows of the table are frames", rows.len());
+    // A list of GCPs may name the CRS, which is not read here.
+    if let Some(word) = args.crs.as_deref().filter(|word| !lists::is_local(word)) {
+        let crs = camera_tables::map_of(&rows, Some(Crs::parse(word)?))?;
+        camera_tables::in_map(rows, table, crs.as_ref())?;
+    }
     Ok(())
 }
 

@@ -88,6 +88,11 @@ pub const DEFAULT_SIGMA_GROUND_M: f64 = 25.0;
 /// Positions of cameras that fix a datum.
 const LEAST_POSITIONS: usize = 3;
 
+/// The mean of the positions of a camera table.
+fn middle(rows: &[CameraRow]) -> [f64; 3] {
+    [0, 1, 2].map(|axis| rows.iter().map(|row| row.xyz[axis]).sum::<f64>() / rows.len().max(1) as f64)
+}
+
 /// Whether the word means a plane.
 pub fn is_local(crs: &str) -> bool {
     crs.trim().eq_ignore_ascii_case("local")
@@ -97,7 +102,7 @@ impl Control {
     /// A block that only positions of its cameras place, in coordinates of `crs`.
     ///
     /// # Errors
-    /// When there are fewer than three rows, which fix no datum.
+    /// When there are fewer than three rows, which fix no datum, and when `crs` has no place on the Earth for them.
     pub fn of_positions(rows: &[CameraRow], crs: Option<Crs>, table: &Path) -> Result<Self> {
         if rows.len() < LEAST_POSITIONS {
             bail!(
@@ -106,8 +111,9 @@ impl Control {
                 rows.len()
             );
         }
-        let mean = |axis: usize| rows.iter().map(|row| row.xyz[axis]).sum::<f64>() / rows.len() as f64;
-        Ok(Control { crs, cameras_at: Some([mean(0), mean(1), mean(2)]), ..Control::default() })
+        let control = Control { crs, cameras_at: Some(middle(rows)), ..Control::default() };
+        control.world().with_context(|| table.display().to_string())?;
+        Ok(control)
     }
 
     /// A place in the coordinates of the list, in the world's frame.
@@ -127,6 +133,14 @@ impl Control {
         let n = self.points.len().max(1) as f64;
         let mean = |a: usize| self.points.iter().map(|p| p.xyz[a]).sum::<f64>() / n;
         world_of(self.crs.as_ref(), self.cameras_at.unwrap_or_else(|| [mean(0), mean(1), mean(2)]))
+    }
+
+    /// The world about the middle of a camera table's rows, which stays where it is whatever becomes of the list.
+    ///
+    /// # Errors
+    /// When they lie outside the CRS.
+    pub fn world_of_table(&self, rows: &[CameraRow]) -> Result<World> {
+        world_of(self.crs.as_ref(), middle(rows))
     }
 
     /// The frames that the list names, in order, each once.
@@ -192,7 +206,9 @@ impl Control {
         let names = || model.photographs.iter().map(|p| p.name.as_str());
         let mut points = Vec::new();
         for p in &self.points {
-            let Some(xyz) = world.to_world(p.xyz) else { bail!("GCP `{}` lies outside the CRS; give --crs", p.name) };
+            let Some(xyz) = world.to_world(p.xyz) else {
+                bail!("GCP `{}` lies outside the CRS; give --crs, or crs in FLIGHT.toml", p.name)
+            };
             let mut seen: Vec<(usize, [f64; 2])> = Vec::new();
             for (image, pixel) in &p.seen {
                 let index =

@@ -1,11 +1,66 @@
 //! What cannot be, told before and after a frame or a block is solved.
 
+use std::path::Path;
+
 use anyhow::{Result, bail};
-use autoref_flight::Pose;
-use autoref_flight::adjust::GroundPoint;
+use autoref_flight::adjust::{GroundPoint, UpsideDown};
 use autoref_flight::read::Reconstruction;
 use autoref_flight::world::World;
+use autoref_flight::{Error, Pose};
 use nalgebra::Vector3;
+
+/// A mistake that refuses a flight's result unless it is named.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Mistake {
+    /// The cameras look up at the ground from below it, as a mirror image of the block has them.
+    UpsideDown,
+}
+
+/// What a command is told to go on in spite of.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ForceArgs {
+    /// Go on in spite of a mistake that is plain, by its name.
+    #[arg(long, value_enum, value_name = "NAME")]
+    force: Vec<Mistake>,
+}
+
+/// What is to be said of a block that seems to be placed as its mirror image; `lists` are those of GCPs and of
+/// positions.
+///
+/// # Errors
+/// Where nothing but a mirror image is likely, unless `force` names it.
+pub fn upside_down(
+    found: Option<UpsideDown>,
+    lists: [Option<&Path>; 2],
+    ForceArgs { force }: &ForceArgs,
+) -> Result<Option<String>> {
+    let Some(found) = found else { return Ok(None) };
+    let [gcps, positions] = lists.map(|list| list.map_or(String::new(), |list| format!("{}: ", list.display())));
+    let [stated, exchanged] = found.misses_m;
+    let (list, places) = if found.by_gcps { (gcps, "points") } else { (positions, "positions") };
+    let fit = format!("RMS {exchanged:.2} m, as they stand {stated:.2} m");
+    let what = if found.looks_up() {
+        format!(
+            "{list}its {places} hang the block upside down: its frames look up ({:.0} degrees above the horizon), and \
+             would look down with easting and northing of the {places} exchanged, which fits no worse ({fit})",
+            found.looks_deg
+        )
+    } else {
+        format!("{list}its {places} are those of a mirror image: with easting and northing exchanged they fit ({fit})")
+    };
+    let other = match found.by_gcps {
+        true => "pixels whose y counts from the lower edge",
+        false => "positions in a row, which leave open how the block is turned about it",
+    };
+    let causes = format!("northings that stand before eastings, heights that count downwards, {other}");
+    if found.is_plain() && !force.contains(&Mistake::UpsideDown) {
+        let remedy = format!(
+            "correct what mirrors it ({causes}), or go on with --force upside-down where the frames do look up"
+        );
+        return Err(Error::no_result(what, remedy).into());
+    }
+    Ok(Some(format!("{what}; unless the frames do look up, correct what mirrors it ({causes})")))
+}
 
 /// Pixels beyond a frame's edge that a click may be off.
 const BESIDE_PX: f64 = 5.0;

@@ -295,7 +295,7 @@ impl OrderedFrames {
         if project.gcps.is_none() && !project.is_local() {
             crs = camera_tables::map_of(&self.rows, crs)?;
         }
-        self.rows = camera_tables::on_map(std::mem::take(&mut self.rows), &base.join(&rough.table), crs.as_ref())?;
+        self.rows = camera_tables::in_map(std::mem::take(&mut self.rows), &base.join(&rough.table), crs.as_ref())?;
         Ok(crs)
     }
 }

@@ -125,7 +125,8 @@ pub fn untied(plan: &Plan, names: &[&str], tied: &[PairTies]) -> Option<String> 
     let named: Vec<String> = bare.iter().map(|two| format!("{} and {}", names[two[0]], names[two[1]])).collect();
     Some(format!(
         "{} of {} pairs of neighbours share no ties though the table has them see the same ground ({}): where its \
-         directions are wrong, or frames were turned, leave its columns of directions out",
+         directions are wrong, or frames were turned, leave its columns of directions out; where a frame shows other \
+         ground, take it out",
         bare.len(),
         tied.len() + bare.len(),
         some_of(&named)

@@ -45,6 +45,8 @@ pub struct SolveArgs {
     /// The last stage to work; the next run goes on from there.
     #[arg(long, value_enum, default_value_t = Stage::Cameras, value_name = "STAGE")]
     until: Stage,
+    #[command(flatten)]
+    force: plausible::ForceArgs,
     /// Work every stage anew.
     #[arg(long)]
     overwrite: bool,
@@ -152,6 +154,10 @@ impl<'a> Ready<'a> {
                 args.project.display()
             ),
         }
+        // What lies outside its CRS is refused before the frames are matched.
+        if let Some(known) = &control {
+            known.world()?;
+        }
         let names: Vec<&str> = frames.names.iter().map(String::as_str).collect();
         let lost = match &project.rough {
             Some(rough) => camera_tables::unmatched(&frames.rows, &base.join(&rough.table), &names)?,
@@ -235,7 +241,7 @@ impl<'a> Ready<'a> {
         let tied = match plane.zip(self.control.as_ref()) {
             Some((plane, control)) => {
                 let listed = flight.listed(plane);
-                let (ground, _) = self.ground(control, &control.world()?, &listed)?;
+                let (ground, _) = self.ground(control, &control.world_of_table(&self.frames.rows)?, &listed)?;
                 flight.tied(plane, &ground)?
             }
             None => None,
@@ -264,6 +270,11 @@ impl<'a> Ready<'a> {
         let mut ground = control.in_world(world, model, points)?;
         let notes = plausible::within_frames(&mut ground, model, &points.gcps.display().to_string())?;
         Ok((ground, notes))
+    }
+
+    /// The rough table's file.
+    fn table(&self) -> Option<PathBuf> {
+        self.project.rough.as_ref().map(|rough| self.base.join(&rough.table))
     }
 
     /// The points, now that there is a reconstruction, and what is to be said of their frames.
@@ -307,6 +318,8 @@ impl<'a> Ready<'a> {
             return Ok(Found::Gcp(Box::new(found)));
         }
 
+        let (list, table) = (self.points.as_ref().map(|p| p.gcps.as_path()), self.table());
+        let hung = plausible::upside_down(placed.upside_down, [list, table.as_deref()], &self.args.force)?;
         let turned = if by_micmac { None } else { footprints::let_go_of_turned(&mut rough, model, &placed.similarity) };
         let untied = ties.as_ref().and_then(|ties| runs::untied(plan, &flight.ordered, ties));
 
@@ -318,7 +331,9 @@ impl<'a> Ready<'a> {
         let steps = Steps::new("adjusting", 0);
         let mut found = adjust(model, &ground, &options)?;
         drop(steps);
-        found.notes.extend(turned.into_iter().chain(untied).chain(notes));
+        found.notes.extend(hung.into_iter().chain(turned).chain(untied).chain(notes));
+        let (poses, places) = (found.photographs.iter().map(|p| &p.pose), ground.iter().map(|p| &p.xyz));
+        found.notes.extend(plausible::below_ground(poses, places, &world));
         found.notes.extend(self.left_out.iter().cloned());
         if by_micmac {
             found.notes.push(micmac::note());
@@ -379,6 +394,15 @@ fn table_poses(
     rough
 }
 
+/// The height of the ground as far as it matters to what is warped over it: to between a half and one percent of the
+/// height of the cameras above, so that most changes of the list of GCPs leave the stages that were made.
+fn rounded_ground_m(ground_m: f64, cameras_m: f64) -> f64 {
+    const SHARE: f64 = 0.01;
+    const LEAST_M: f64 = 1e-3;
+    let step_m = (SHARE * (cameras_m - ground_m).abs()).max(LEAST_M).log2().floor().exp2();
+    (ground_m / step_m).round() * step_m
+}
+
 /// What warps neighbours onto each other; `None` when focal length, a place or a direction is not known.
 fn ground_plane(
     project: &Project,
@@ -387,12 +411,16 @@ fn ground_plane(
     flight: &Flight<'_>,
 ) -> Option<GroundPlane> {
     let (table, f_px) = (project.rough.as_ref()?, project.camera.f_px?);
-    let world = control.world().ok()?;
-    let height_m = table.ground_m.or_else(|| control.ground_m())?;
-    let first = control.cameras_at.or_else(|| Some(control.points.first()?.xyz))?;
-    let ground_m = world.to_world([first[0], first[1], height_m / world.units_m()[1]])?.z;
+    let world = control.world_of_table(rows).ok()?;
     let names = &flight.ordered;
-    let stated = runs::rows_of(names, rows).into_iter().map(|row| {
+    let of_frames = runs::rows_of(names, rows);
+    let above = of_frames.iter().flatten().map(|row| row.xyz[2] * world.units_m()[1]).collect();
+    // The world's heights are those of the map at the table's middle.
+    let ground_m = match table.ground_m {
+        Some(stated_m) => stated_m,
+        None => rounded_ground_m(control.ground_m()?, frames::median(above)?),
+    };
+    let stated = of_frames.into_iter().map(|row| {
         let row = row?;
         // A pitch that is one for all frames is less sure than what a table says of each.
         let sigma_deg: f64 = if row.pose(None).is_some() { 2.0 } else { 5.0 };
@@ -404,4 +432,18 @@ fn ground_plane(
     });
     let rough = runs::filled(&stated.collect::<Vec<_>>())?;
     Some(GroundPlane::of_table(names, (rough, table.sigma_m), (f_px, flight.size_px), ground_m))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ground_is_as_high_as_it_matters() {
+        for (ground_m, cameras_m) in [(61.3, 622.9), (-4.2, 38.0), (1804.6, 4350.0), (100.0, 100.0)] {
+            let rounded_m = rounded_ground_m(ground_m, cameras_m);
+            assert!((rounded_m - ground_m).abs() <= 0.005 * (cameras_m - ground_m), "{rounded_m} of {ground_m}");
+        }
+        assert_eq!(rounded_ground_m(61.3, 622.9), rounded_ground_m(61.9, 622.9), "a GCP more or less");
+    }
 }

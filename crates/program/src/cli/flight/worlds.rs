@@ -107,7 +107,7 @@ pub fn straighten(model: &mut Reconstruction, path: &Path) -> Result<()> {
 
 fn curved(crs: &Crs, units: Units, centre: [f64; 3]) -> Result<World> {
     let world = Proj::around(crs, units, centre).ok().and_then(|proj| World::curved(Box::new(proj), centre));
-    world.with_context(|| format!("{}: the points lie outside it; give --crs", crs.title()))
+    world.with_context(|| format!("{}: the points lie outside it; give --crs, or crs in FLIGHT.toml", crs.title()))
 }
 
 /// Whether a system is the longitudes and latitudes of WGS 84.
