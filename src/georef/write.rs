@@ -77,7 +77,7 @@ impl WriteRequest {
 
     /// The files with their own world files, `.aux.xml` and tags: the image, or the tiles of a folder, each with its
     /// corner in pixels of the whole.
-    fn parts(&self) -> Result<Vec<Part>> {
+    pub(super) fn parts(&self) -> Result<Vec<Part>> {
         if !tile_folder::is_tile_folder(&self.image) {
             return Ok(vec![Part { path: self.image.clone(), base: self.base.clone(), tile: None }]);
         }
@@ -93,8 +93,18 @@ impl WriteRequest {
     fn files_of(&self, kind: Output, parts: &[Part]) -> Vec<PathBuf> {
         match kind {
             Output::World | Output::Aux => parts.iter().flat_map(|part| kind.files(&part.base)).collect(),
-            _ => kind.files(&self.base),
+            _ => self.own_files(kind),
         }
+    }
+
+    /// The files of a kind that is of the whole image. A virtual raster of a virtual raster beside it has a name of its
+    /// own: `e6.autoref.vrt`, as the result is `e6.autoref.json`.
+    pub(super) fn own_files(&self, kind: Output) -> Vec<PathBuf> {
+        let files = kind.files(&self.base);
+        if kind == Output::Vrt && same_file(&files[0], &self.image) {
+            return vec![self.base.with_extension("autoref.vrt")];
+        }
+        files
     }
 
     /// Every file that will be written, the image itself not counted.
@@ -185,7 +195,7 @@ impl WriteRequest {
         let mut warnings = Vec::new();
         let parts = self.parts()?;
         for &kind in &self.kinds {
-            let files = kind.files(&self.base);
+            let files = self.own_files(kind);
             match kind {
                 Output::World | Output::Aux | Output::Tags => {
                     for part in &parts {
@@ -248,16 +258,16 @@ impl WriteRequest {
 }
 
 /// A file with a georeference of its own.
-struct Part {
-    path: PathBuf,
+pub(super) struct Part {
+    pub(super) path: PathBuf,
     /// Its output names extend this path.
-    base: PathBuf,
+    pub(super) base: PathBuf,
     tile: Option<tile_folder::Tile>,
 }
 
 impl Part {
     /// Its transform when the whole has `transform`.
-    fn transform(&self, transform: &GeoTransform) -> GeoTransform {
+    pub(super) fn transform(&self, transform: &GeoTransform) -> GeoTransform {
         self.tile.as_ref().map_or(*transform, |tile| tile_folder::TileFolder::transform_of(tile, transform))
     }
 }

@@ -68,7 +68,9 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     let request = args.write.request(&image, page, args.memory.0, threads(args.threads))?;
     let mut transaction = Transaction::new();
     let bar = WarpBar::new(&request, Telling::silent_if(args.quiet || args.json));
-    let warnings = request.stage(&result, &mut transaction, &|done| bar.set(done))?;
+    let to_open = request.what_to_open(&request.found(&result)?)?;
+    let staged = request.stage(&result, &mut transaction, &|done| bar.set(done))?;
+    let warnings: Vec<String> = to_open.into_iter().chain(staged).collect();
     drop(bar);
     let written: Vec<String> = transaction.paths().iter().map(|path| path.display().to_string()).collect();
     transaction.commit()?;
