@@ -12,7 +12,7 @@ use crate::result::RunResult;
 use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
-use autoref_raster::crs::Crs;
+use autoref_raster::crs::{Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::error::{Error, Result};
 use autoref_raster::protected::same_file;
 use autoref_raster::tile_folder;
@@ -48,6 +48,8 @@ pub struct WriteRequest {
     pub existing: Existing,
     pub tags: tags::TagOptions,
     pub warp: warp::WarpOptions,
+    /// Worst accuracy of the change of datum to the WGS 84 of EXIF, metres.
+    pub datum_accuracy_m: f64,
 }
 
 impl WriteRequest {
@@ -72,6 +74,7 @@ impl WriteRequest {
             existing,
             tags: tags::TagOptions::default(),
             warp: warp::WarpOptions::default(),
+            datum_accuracy_m: DEFAULT_DATUM_ACCURACY_M,
         }
     }
 
@@ -175,6 +178,14 @@ impl WriteRequest {
         Ok(())
     }
 
+    /// Refuses a CRS whose places EXIF cannot have. `around`: places of the image in it.
+    ///
+    /// # Errors
+    /// [`Error::CoarseDatum`] with the option that accepts it; [`Error::Usage`] for an accuracy that is none.
+    pub fn check_place(&self, crs: Option<&Crs>, around: &[Coordinate]) -> Result<()> {
+        exif::check_datum(crs, around, self.datum_accuracy_m)
+    }
+
     /// Makes every file under a temporary name and adds it to the transaction. Nothing is in place before
     /// [`Transaction::commit`]. Returns warnings in plain words.
     ///
@@ -209,7 +220,7 @@ impl WriteRequest {
                     warp::write(&self.image, self.page, temporary, &transform, crs, &self.warp, progress)
                 })?,
                 Output::Exif => {
-                    let place = exif::Place::of(&transform, crs, result)?;
+                    let place = exif::Place::of(&transform, crs, result, self.datum_accuracy_m)?;
                     transaction.stage(&files[0], |temporary| exif::write(&self.image, temporary, &place))?;
                     warnings.extend(place.lost);
                 }

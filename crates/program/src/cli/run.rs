@@ -11,6 +11,7 @@ use autoref_raster::coords::GeoTransform;
 use autoref_raster::error::Error;
 use autoref_raster::memory_plan;
 use autoref_stream::gcp::{self, GcpList};
+use autoref_stream::georef::output::Output;
 use autoref_stream::georef::write::WriteRequest;
 use autoref_stream::georef::{beneath, dialects};
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit};
@@ -261,13 +262,17 @@ impl RunArgs {
     /// # Errors
     /// When an output cannot be written, or is there and is to be kept.
     fn outputs(&self, image: &Path, list: &GcpList) -> anyhow::Result<Outputs> {
-        let request = self.write.request(
+        let mut request = self.write.request(
             image,
             self.look.read.page,
             self.look.read.memory.0,
             prepare::threads(self.look.read.threads),
         )?;
+        request.datum_accuracy_m = self.look.gcps.working_crs.datum_accuracy;
         request.check_local(list.crs.as_ref())?;
+        if request.wants(Output::Exif) {
+            request.check_place(list.crs.as_ref(), &working_crs::places(list)?)?;
+        }
         dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
         let json = beneath::result_path(&request.base);
         let report = self.report.wanted().then(|| report::path(&json));
