@@ -74,6 +74,8 @@ pub(super) fn parse(path: &Path, lines: &[Line<'_>], labels: Labels) -> Result<R
     };
     let mut list = RawList::new(points, crs);
     list.order = ColumnOrder::Untitled;
+    // No title says another.
+    list.units.accuracies_as_coordinates = true;
     list.open_mark = columns.open_mark(&table);
     list.set_aside = statistics.aside.map(|what| format!("{}: {what}", path.display()));
     let unnamed = columns.name.is_none().then(|| "no column holds names: the points are numbered from 1".to_owned());

@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use crate::gcp::raw::RawPoint;
-use crate::gcp::units::{TitledUnits, Unit};
+use crate::gcp::units::{TitledUnits, Unit, accuracy_units, tidied};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
 
 impl TitledUnits {
-    /// Brings local coordinates, and those of a CRS in metres, into metres, and heights into the unit of the CRS; says
-    /// so in `notes`.
+    /// Brings local coordinates, and those of a CRS in metres, into metres, heights into the unit of the CRS, and
+    /// accuracies that are in the unit of the coordinates into metres; says so in `notes`.
     ///
     /// # Errors
     /// [`Error::Format`] when the titles say two units, feet of no certain kind, or another unit than a CRS that does
@@ -25,6 +25,9 @@ impl TitledUnits {
             let what =
                 format!("`{title}` names two units; write the one that its numbers are in, as in `Elevation (US ft)`");
             return Err(Error::format(path, "the header", what));
+        }
+        if self.accuracies_as_coordinates {
+            accuracies(path, points, crs, notes);
         }
         let plan = self.plan_unit(path)?;
         let height_unit_m = match crs {
@@ -93,6 +96,22 @@ impl TitledUnits {
             None => Ok(()),
         }
     }
+}
+
+/// Brings accuracies out of the unit of the CRS.
+fn accuracies(path: &Path, points: &mut [RawPoint], crs: Option<&Crs>, notes: &mut Vec<String>) {
+    let (unit_m, height_unit_m) = accuracy_units(crs);
+    let has_any = points.iter().any(|point| point.gcp.sigma_m.is_some() || point.gcp.sigma_height_m.is_some());
+    let Some(crs) = crs.filter(|_| has_any && (unit_m, height_unit_m) != (1.0, 1.0)) else { return };
+    for RawPoint { gcp, .. } in points.iter_mut() {
+        gcp.sigma_m = gcp.sigma_m.map(|sigma| tidied(sigma * unit_m));
+        gcp.sigma_height_m = gcp.sigma_height_m.map(|sigma| tidied(sigma * height_unit_m));
+    }
+    let unit = crs.unit_name();
+    notes.push(format!(
+        "{}: its accuracies are taken to be in {unit}, as its coordinates are, and were brought to metres",
+        path.display()
+    ));
 }
 
 /// Brings the points of a drawing out of the unit that its head states, where that is certain: by the place, else where

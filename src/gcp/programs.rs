@@ -6,13 +6,21 @@ use quick_xml::escape::{escape, partial_escape};
 use serde_json::{Value, json};
 
 use super::odm::{CHECK_PREFIX, is_crs_line};
+use super::units::{accuracy_units, tidied};
 use super::{Gcp, GcpRole};
 use autoref_raster::cells::{csv_text, quoted};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::crs::Crs;
 
-/// What MicMac's own tools write where the survey says nothing, metres.
-const UNKNOWN_SIGMA_M: f64 = 1.0;
+/// What MicMac's own tools write where the survey says nothing, in the unit of the coordinates.
+const UNKNOWN_SIGMA: f64 = 1.0;
+
+/// The accuracies of a point in such a list.
+fn accuracies(gcp: &Gcp, crs: Option<&Crs>) -> (Option<f64>, Option<f64>) {
+    let (unit, height_unit) = accuracy_units(crs);
+    let by = |sigma_m: f64, unit: f64| if unit == 1.0 { sigma_m } else { tidied(sigma_m / unit) };
+    (gcp.sigma_m.map(|s| by(s, unit)), gcp.sigma_height_m.map(|s| by(s, height_unit)))
+}
 
 /// The name of a point whose height a program demands and the list does not have.
 #[derive(Clone, Debug, PartialEq)]
@@ -165,7 +173,7 @@ pub(crate) fn pix4d_has_accuracies<'a>(mut gcps: impl Iterator<Item = &'a Gcp>) 
     gcps.all(|gcp| gcp.sigma_m.is_some() && gcp.sigma_height_m.is_some())
 }
 
-/// Pix4D's list, without a header: `label,x,y,z[,accuracy,accuracy]`; in degrees the latitude first.
+/// Pix4D's list, without a header: `label,x,y,z[,accuracy,accuracy]`, all in one unit; in degrees the latitude first.
 ///
 /// # Errors
 /// When a point has no height.
@@ -182,7 +190,7 @@ pub(crate) fn pix4d<'a>(gcps: impl Iterator<Item = &'a Gcp> + Clone, crs: Option
         };
         let [first, second] = if is_degrees { [gcp.northing, gcp.easting] } else { [gcp.easting, gcp.northing] };
         text.push_str(&format!("{name},{first},{second},{height}"));
-        if let (true, Some(sigma), Some(sigma_height)) = (has_accuracies, gcp.sigma_m, gcp.sigma_height_m) {
+        if let (true, (Some(sigma), Some(sigma_height))) = (has_accuracies, accuracies(gcp, crs)) {
             text.push_str(&format!(",{sigma},{sigma_height}"));
         }
         text.push('\n');
@@ -190,15 +198,15 @@ pub(crate) fn pix4d<'a>(gcps: impl Iterator<Item = &'a Gcp> + Clone, crs: Option
     Ok(text)
 }
 
-/// MicMac's ground points, `DicoAppuisFlottant`.
+/// MicMac's ground points, `DicoAppuisFlottant`, all in one unit.
 ///
 /// # Errors
 /// When a point has no height.
-pub(crate) fn micmac<'a>(gcps: impl Iterator<Item = &'a Gcp>) -> Result<String, NoHeight> {
+pub(crate) fn micmac<'a>(gcps: impl Iterator<Item = &'a Gcp>, crs: Option<&Crs>) -> Result<String, NoHeight> {
     let mut text = String::from("<?xml version=\"1.0\" ?>\n<DicoAppuisFlottant>\n");
     for gcp in gcps {
-        let sigma = gcp.sigma_m.unwrap_or(UNKNOWN_SIGMA_M);
-        let sigma_height = gcp.sigma_height_m.unwrap_or(UNKNOWN_SIGMA_M);
+        let (sigma, sigma_height) = accuracies(gcp, crs);
+        let (sigma, sigma_height) = (sigma.unwrap_or(UNKNOWN_SIGMA), sigma_height.unwrap_or(UNKNOWN_SIGMA));
         text.push_str(&format!(
             "     <OneAppuisDAF>\n          <Pt>{} {} {}</Pt>\n          <NamePt>{}</NamePt>\n          \
              <Incertitude>{sigma} {sigma} {sigma_height}</Incertitude>\n     </OneAppuisDAF>\n",

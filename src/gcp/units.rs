@@ -1,5 +1,6 @@
 //! Units that titles of columns name: `Easting (ft)`, `sigma E [mm]`.
 
+use autoref_raster::crs::Crs;
 use autoref_raster::units::{FOOT_M, US_SURVEY_FOOT_M};
 
 const FEET: &str = "feet";
@@ -132,6 +133,8 @@ pub(super) struct TitledUnits {
     pub height: Option<(Unit, String)>,
     /// A title that names two units, one of them feet.
     pub(super) unclear: Option<String>,
+    /// Accuracies have no unit of their own: they are in that of the coordinates.
+    pub(super) accuracies_as_coordinates: bool,
 }
 
 impl TitledUnits {
@@ -144,19 +147,47 @@ impl TitledUnits {
             plan: [titled(easting), titled(northing)],
             height: height.and_then(titled),
             unclear: unclear.map(|title| title.trim().to_owned()),
+            accuracies_as_coordinates: false,
         }
     }
 
     /// The same unit for all coordinates, as a format's own `word` says.
     pub fn all(unit: Unit, word: &str) -> Self {
         let said = || Some((unit, word.to_owned()));
-        TitledUnits { plan: [said(), said()], height: said(), unclear: None }
+        TitledUnits { plan: [said(), said()], height: said(), ..TitledUnits::default() }
     }
+}
+
+/// Metres per unit of the accuracies, of the place and of the height, in a list that has one unit for all it says: that
+/// of the coordinates; metres beside degrees and without a CRS.
+pub(super) fn accuracy_units(crs: Option<&Crs>) -> (f64, f64) {
+    crs.filter(|crs| !crs.is_geographic()).map_or((1.0, 1.0), |crs| {
+        let unit = crs.metres_per_unit();
+        (unit, crs.height_metres_per_unit().unwrap_or(unit))
+    })
+}
+
+/// A number that came through another unit, without the last digits that this left: the shortest decimal that lies
+/// within its rounding, 999978.608 for 999978.6080000001.
+pub(super) fn tidied(value: f64) -> f64 {
+    const DIGITS: usize = 15;
+    let within = 1.5 * f64::EPSILON * value.abs();
+    let of_digits = |digits: usize| format!("{value:.digits$e}").parse::<f64>().ok();
+    (0..DIGITS).filter_map(of_digits).find(|short| (short - value).abs() <= within).unwrap_or(value)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn another_unit_leaves_no_digits() {
+        for value in [999_978.608, 0.03, -199_999.206, 328.0, 0.0, 1_234_567.890_123_4] {
+            assert_eq!(tidied(value * US_SURVEY_FOOT_M / US_SURVEY_FOOT_M), value);
+            assert_eq!(tidied(value / FOOT_M * FOOT_M), value);
+        }
+        assert_eq!(tidied(1.0 / 3.0), 1.0 / 3.0);
+    }
 
     #[test]
     fn units_among_other_words() {

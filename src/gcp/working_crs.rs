@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::gcp::Gcp;
+use crate::gcp::units::tidied;
 use autoref_raster::coords::{GeoTransform, MapPoint, PixelPoint};
 use autoref_raster::crs::{Accuracy, Coordinate, Crs};
 use autoref_raster::error::{Error, Result};
@@ -201,9 +202,10 @@ impl WorkingCrs {
     /// Those of [`Crs::transform`].
     pub fn leave(&self, points: &mut [Coordinate]) -> Result<()> {
         for point in points.iter_mut() {
-            point.x /= self.metres_per_unit;
-            point.y /= self.metres_per_unit;
-            point.height = point.height.map(|h| h / self.height_metres_per_unit);
+            let by = |value: f64, unit: f64| if unit == 1.0 { value } else { tidied(value / unit) };
+            point.x = by(point.x, self.metres_per_unit);
+            point.y = by(point.y, self.metres_per_unit);
+            point.height = point.height.map(|h| by(h, self.height_metres_per_unit));
         }
         if let (Some(from), Some(to)) = (&self.crs, &self.to) {
             transform(from, points, to, self.worst_accuracy_m)?;

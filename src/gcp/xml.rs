@@ -268,5 +268,7 @@ fn micmac(path: &Path, text: &str) -> Result<RawList> {
             _ => {}
         }
     }
-    Ok(RawList::new(points, CrsClaim::None))
+    let mut list = RawList::new(points, CrsClaim::None);
+    list.units.accuracies_as_coordinates = true;
+    Ok(list)
 }

@@ -48,6 +48,10 @@ pub fn beneath(info: &RasterInfo, page: usize) -> Option<Georeference> {
         false => inside(image, page, None),
     };
     match inside.transform {
+        // A VRT of ours says itself what was solved; what its image had is on record.
+        Some(own) if is_virtual(image) && is_shown(&own) && by_result() => {
+            Some(of_result(recorded.as_ref(), &shown).flatten().unwrap_or_default())
+        }
         // Where that is what the image shows, it is a copy of an earlier result, and lies right.
         Some(_) => Some(inside),
         None => match of_result(recorded.as_ref(), &shown) {
@@ -62,9 +66,15 @@ pub(super) fn repeats(prior: &GeoTransform, solved: &GeoTransform) -> bool {
     solved.differs_px(prior) < REPEATED_PX
 }
 
-/// The result beside an image of so many pixels.
+fn is_virtual(image: &Path) -> bool {
+    image.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("vrt"))
+}
+
+/// The result beside an image of so many pixels; that of `e6.vrt` beside `e6.autoref.vrt`.
 fn recorded(image: &Path, size: (u64, u64)) -> Option<RunResult> {
     let path = result_path(image);
+    let is_ours = image.file_name().is_some_and(|name| name.to_string_lossy().ends_with(".autoref.vrt"));
+    let path = if is_ours && !path.is_file() { image.with_extension("json") } else { path };
     let result = path.is_file().then(|| RunResult::read(&path).ok()).flatten()?;
     result.image.as_ref().is_some_and(|image| (image.width, image.height) == size).then_some(result)
 }

@@ -5,7 +5,8 @@
 //! block gets
 //!
 //! - what every viewer of photographs reads: latitude and longitude (WGS 84) of the middle of the image, the direction
-//!   of its top from true north, the largest expected error of a point in a corner (95 %);
+//!   of its top from true north, the largest expected error of a point in a corner (95 %) and what the change of datum
+//!   adds to it;
 //! - the GeoTIFF tags of transform and CRS in the first directory, as in a TIFF, which EXIF is: the place of every
 //!   pixel.
 
@@ -18,7 +19,7 @@ use crate::georef::tags::directory::{Appender, Shape, ordered};
 use crate::georef::tags::keys::{GEO_TAGS, GeoTag, Values, geo_tags};
 use crate::result::RunResult;
 use autoref_raster::coords::{GeoTransform, PixelPoint};
-use autoref_raster::crs::{Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M};
+use autoref_raster::crs::{Accuracy, Coordinate, Crs};
 use autoref_raster::error::{Error, Result};
 use autoref_raster::tiff::container::ByteOrder;
 
@@ -39,16 +40,17 @@ pub struct Place {
     crs: Option<Crs>,
     geo: Vec<GeoTag>,
     error_95_m: Option<f64>,
+    worst_accuracy_m: f64,
     /// What the tags cannot hold, in words.
     pub lost: Option<String>,
 }
 
 impl Place {
-    /// The place that a result states.
+    /// The place that a result states. `worst_accuracy_m`: what is demanded of the change of datum to WGS 84.
     ///
     /// # Errors
     /// When GDAL has no GeoTIFF keys for the CRS.
-    pub fn of(transform: &GeoTransform, crs: Option<&Crs>, result: &RunResult) -> Result<Place> {
+    pub fn of(transform: &GeoTransform, crs: Option<&Crs>, result: &RunResult, worst_accuracy_m: f64) -> Result<Place> {
         let (geo, lost) = geo_tags(transform, crs, RasterType::PixelIsArea)?;
         let corners = result.solved().map_or(&[][..], |solved| &solved.expected_errors);
         let error_95_m = corners.iter().map(|c| c.expected.point_95_m).reduce(f64::max).filter(|e| e.is_finite());
@@ -57,7 +59,7 @@ impl Place {
             Some(_) => lost,
             None => Some("EXIF has the transform but neither latitude nor longitude: no CRS is known".into()),
         };
-        Ok(Place { transform: *transform, crs, geo, error_95_m, lost })
+        Ok(Place { transform: *transform, crs, geo, error_95_m, worst_accuracy_m, lost })
     }
 
     /// The tags of the place of an image of `size_px`, in order of their numbers.
@@ -69,7 +71,10 @@ impl Place {
             let map = self.transform.apply(PixelPoint { x, y });
             Coordinate { x: map.easting, y: map.northing, height: None }
         });
-        crs.transform(&mut points, &Crs::from_epsg(4326)?, DEFAULT_DATUM_ACCURACY_M)?;
+        let datum_m = match to_wgs84(crs, &mut points, self.worst_accuracy_m)? {
+            Accuracy::Metres(metres) => metres,
+            Accuracy::Exact | Accuracy::Unstated => 0.0,
+        };
         let [middle, top] = points;
         // Degrees of longitude in those of latitude, by the ellipsoid's two radii of curvature.
         let latitude = middle.y.to_radians();
@@ -88,9 +93,40 @@ impl Place {
             rationals(17, vec![[(direction_deg * 1e4).round() as u32 % 3_600_000, 10_000]]),
             reference(18, b"WGS-84"),
         ];
-        tags.extend(self.error_95_m.map(|e| rationals(31, vec![[(e * 1e3).ceil().min(4e9) as u32, 1000]])));
+        let millimetres = |e: f64| ((e + datum_m) * 1e3).ceil().min(4e9) as u32;
+        tags.extend(self.error_95_m.map(|e| rationals(31, vec![[millimetres(e), 1000]])));
         Ok(Some(tags))
     }
+}
+
+/// Brings places into longitude and latitude of WGS 84, the datum of EXIF.
+///
+/// # Errors
+/// When the change of datum is worse than `worst_accuracy_m`, or there is none.
+fn to_wgs84(crs: &Crs, points: &mut [Coordinate], worst_accuracy_m: f64) -> Result<Accuracy> {
+    let wgs84 = Crs::from_epsg(4326)?;
+    crs.transform(points, &wgs84, worst_accuracy_m).map_err(|error| {
+        match (error, crs.transform(&mut points.to_vec(), &wgs84, f64::INFINITY)) {
+            (Error::CoarseDatum { what, install, .. }, Ok(Accuracy::Metres(metres))) => Error::CoarseDatum {
+                what: format!("--write exif gives the place in WGS 84: {what}"),
+                install,
+                otherwise: format!("accept it with --datum-accuracy {metres}, or leave exif out of --write"),
+            },
+            (error, _) => error,
+        }
+    })
+}
+
+/// Refuses, before any work, a CRS that cannot be brought to WGS 84 well enough around these places.
+///
+/// # Errors
+/// As [`write`]; [`Error::Usage`] when `worst_accuracy_m` is no length.
+pub(super) fn check_datum(crs: Option<&Crs>, around: &[Coordinate], worst_accuracy_m: f64) -> Result<()> {
+    if worst_accuracy_m.is_nan() || worst_accuracy_m < 0.0 {
+        return Err(Error::usage("--datum-accuracy is no length", "give metres, 0 or more"));
+    }
+    let Some(crs) = crs.filter(|crs| !crs.is_local()) else { return Ok(()) };
+    to_wgs84(crs, &mut around.to_vec(), worst_accuracy_m).map(|_| ())
 }
 
 /// Degrees, minutes, and seconds to 0.1 mm on the ground (1e-6 of a second is 0.03 mm).
@@ -112,7 +148,7 @@ pub fn check(image: &Path) -> Result<()> {
 /// Writes the copy.
 ///
 /// # Errors
-/// Those of [`check`]; when the CRS has no relation to WGS 84; [`Error::Limit`] when the block is full.
+/// Those of [`check`]; when the CRS has no relation to WGS 84 that is good enough; [`Error::Limit`] when the block is full.
 pub fn write(image: &Path, to: &Path, place: &Place) -> Result<()> {
     let mut head = Head::read(image)?;
     let old = head.exif.map(|at| head.segments.remove(at)).map(|segment| segment.bytes[10..].to_vec());

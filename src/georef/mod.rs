@@ -15,6 +15,7 @@ pub mod exif;
 pub mod gcps_vrt;
 pub mod heights;
 pub mod output;
+pub mod shown;
 pub mod sidecar;
 pub mod spreadsheet;
 pub mod tags;

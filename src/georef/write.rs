@@ -12,7 +12,7 @@ use crate::result::RunResult;
 use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
-use autoref_raster::crs::Crs;
+use autoref_raster::crs::{Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M};
 use autoref_raster::error::{Error, Result};
 use autoref_raster::protected::same_file;
 use autoref_raster::tile_folder;
@@ -48,6 +48,8 @@ pub struct WriteRequest {
     pub existing: Existing,
     pub tags: tags::TagOptions,
     pub warp: warp::WarpOptions,
+    /// Worst accuracy of the change of datum to the WGS 84 of EXIF, metres.
+    pub datum_accuracy_m: f64,
 }
 
 impl WriteRequest {
@@ -72,12 +74,13 @@ impl WriteRequest {
             existing,
             tags: tags::TagOptions::default(),
             warp: warp::WarpOptions::default(),
+            datum_accuracy_m: DEFAULT_DATUM_ACCURACY_M,
         }
     }
 
     /// The files with their own world files, `.aux.xml` and tags: the image, or the tiles of a folder, each with its
     /// corner in pixels of the whole.
-    fn parts(&self) -> Result<Vec<Part>> {
+    pub(super) fn parts(&self) -> Result<Vec<Part>> {
         if !tile_folder::is_tile_folder(&self.image) {
             return Ok(vec![Part { path: self.image.clone(), base: self.base.clone(), tile: None }]);
         }
@@ -93,8 +96,18 @@ impl WriteRequest {
     fn files_of(&self, kind: Output, parts: &[Part]) -> Vec<PathBuf> {
         match kind {
             Output::World | Output::Aux => parts.iter().flat_map(|part| kind.files(&part.base)).collect(),
-            _ => kind.files(&self.base),
+            _ => self.own_files(kind),
         }
+    }
+
+    /// The files of a kind that is of the whole image. A virtual raster of a virtual raster beside it has a name of its
+    /// own: `e6.autoref.vrt`, as the result is `e6.autoref.json`.
+    pub(super) fn own_files(&self, kind: Output) -> Vec<PathBuf> {
+        let files = kind.files(&self.base);
+        if kind == Output::Vrt && same_file(&files[0], &self.image) {
+            return vec![self.base.with_extension("autoref.vrt")];
+        }
+        files
     }
 
     /// Every file that will be written, the image itself not counted.
@@ -165,6 +178,14 @@ impl WriteRequest {
         Ok(())
     }
 
+    /// Refuses a CRS whose places EXIF cannot have. `around`: places of the image in it.
+    ///
+    /// # Errors
+    /// [`Error::CoarseDatum`] with the option that accepts it; [`Error::Usage`] for an accuracy that is none.
+    pub fn check_place(&self, crs: Option<&Crs>, around: &[Coordinate]) -> Result<()> {
+        exif::check_datum(crs, around, self.datum_accuracy_m)
+    }
+
     /// Makes every file under a temporary name and adds it to the transaction. Nothing is in place before
     /// [`Transaction::commit`]. Returns warnings in plain words.
     ///
@@ -185,7 +206,7 @@ impl WriteRequest {
         let mut warnings = Vec::new();
         let parts = self.parts()?;
         for &kind in &self.kinds {
-            let files = kind.files(&self.base);
+            let files = self.own_files(kind);
             match kind {
                 Output::World | Output::Aux | Output::Tags => {
                     for part in &parts {
@@ -199,7 +220,7 @@ impl WriteRequest {
                     warp::write(&self.image, self.page, temporary, &transform, crs, &self.warp, progress)
                 })?,
                 Output::Exif => {
-                    let place = exif::Place::of(&transform, crs, result)?;
+                    let place = exif::Place::of(&transform, crs, result, self.datum_accuracy_m)?;
                     transaction.stage(&files[0], |temporary| exif::write(&self.image, temporary, &place))?;
                     warnings.extend(place.lost);
                 }
@@ -248,16 +269,16 @@ impl WriteRequest {
 }
 
 /// A file with a georeference of its own.
-struct Part {
-    path: PathBuf,
+pub(super) struct Part {
+    pub(super) path: PathBuf,
     /// Its output names extend this path.
-    base: PathBuf,
+    pub(super) base: PathBuf,
     tile: Option<tile_folder::Tile>,
 }
 
 impl Part {
     /// Its transform when the whole has `transform`.
-    fn transform(&self, transform: &GeoTransform) -> GeoTransform {
+    pub(super) fn transform(&self, transform: &GeoTransform) -> GeoTransform {
         self.tile.as_ref().map_or(*transform, |tile| tile_folder::TileFolder::transform_of(tile, transform))
     }
 }

@@ -56,6 +56,29 @@ fn units_of_titles_are_applied() {
     assert!((a.height.expect("one") - 30.48).abs() < 1e-9, "{:?}", a.height);
 }
 
+/// Accuracies were read as metres beside coordinates in feet; a titled `sigma_m` is metres still.
+#[test]
+fn accuracies_without_a_unit_are_in_that_of_the_coordinates() {
+    let feet = 1200.0 / 3937.0;
+    let rows = "A,999978.608,199999.206,328,0.1,0.2\nB,999934.926,199962.071,329,0.1,0.2\n";
+    let appuis: String = [("A", "999978.608 199999.206 328"), ("B", "999934.926 199962.071 329")]
+        .map(|(name, at)| {
+            format!(
+                "<OneAppuisDAF><Pt>{at}</Pt><NamePt>{name}</NamePt><Incertitude>0.1 0.1 0.2</Incertitude></OneAppuisDAF>"
+            )
+        })
+        .concat();
+    let micmac = format!("<DicoAppuisFlottant>{appuis}</DicoAppuisFlottant>");
+    let titled = format!("name,easting,northing,height,sigma_m,sigma_height_m\n{rows}");
+    for (text, unit) in [(rows, feet), (&micmac, feet), (&titled, 1.0)] {
+        let list = read(text, &within("EPSG:2263")).unwrap_or_else(|e| panic!("{e}"));
+        let sigmas = (list.gcps[0].sigma_m.expect("one"), list.gcps[0].sigma_height_m.expect("one"));
+        assert!((sigmas.0 - 0.1 * unit).abs() < 1e-9 && (sigmas.1 - 0.2 * unit).abs() < 1e-9, "{text}: {sigmas:?}");
+    }
+    let metres = read("A,570400,7032500,100,0.1,0.2\nB,570420,7032500,100,0.1,0.2\n", &within("EPSG:25832"));
+    assert_eq!(metres.expect("readable").gcps[0].sigma_m, Some(0.1));
+}
+
 #[test]
 fn units_that_contradict_the_system_are_refused() {
     let rows = "A,980000,200000\nB,980100,200000\n";

@@ -104,6 +104,14 @@ impl GdalName {
         Ok(Facts::of(&self.open_with(options)?))
     }
 
+    /// What GDAL says of it, with the files beside it.
+    ///
+    /// # Errors
+    /// As [`GdalName::open`].
+    pub fn facts(&self) -> Result<Facts> {
+        Ok(Facts::of(&self.open_with(DatasetOptions::default())?))
+    }
+
     fn open_with(&self, options: DatasetOptions<'_>) -> Result<Dataset> {
         let flags = GdalOpenFlags::GDAL_OF_READONLY
             | GdalOpenFlags::GDAL_OF_RASTER

@@ -107,6 +107,22 @@ pub fn georeference_inside(path: &Path, page: usize, bytes: Option<&Path>) -> Re
     Ok(Georeference { transform: facts.geotransform, crs_wkt: facts.crs_wkt })
 }
 
+/// The georeference that GDAL finds at `path`, an absolute one. Where that is a symbolic link, the files beside the link
+/// count, not those beside what it leads to.
+///
+/// # Errors
+/// When the file is missing, broken or no raster.
+pub fn georeference_at(path: &Path, page: usize) -> Result<Georeference> {
+    gdal::initialise_gdal(0);
+    check_file(path)?;
+    let directory = match tiff::is_tiff(path)? {
+        true => tiff::Directories::read(path)?.page(page)?,
+        false => 0,
+    };
+    let facts = gdal::GdalName::new(path, directory).facts()?;
+    Ok(Georeference { transform: facts.geotransform, crs_wkt: facts.crs_wkt })
+}
+
 /// What GDAL opens: an absolute path, a page of one, or a virtual raster of tiles.
 fn gdal_name(path: &Path, page: usize) -> Result<PathBuf> {
     if path.to_string_lossy().starts_with("/vsi") {

@@ -8,7 +8,7 @@ use super::{ListFormat, Survey, names};
 use crate::gcp::odm::CHECK_PREFIX;
 use crate::gcp::packed::Packed;
 use crate::gcp::raw::RawPoint;
-use crate::gcp::{Gcp, GcpRole, angle, heights, programs, text, titles};
+use crate::gcp::{Gcp, GcpRole, angle, heights, programs, text, titles, units};
 use autoref_raster::cells::without_apostrophe;
 use autoref_raster::error::{Error, Result};
 use autoref_raster::words::counted;
@@ -67,10 +67,11 @@ pub(super) fn of(survey: &Survey, format: ListFormat) -> Vec<String> {
     if !(holds.sigma_height && all_or_none(survey, format)) {
         say("sigma_height_m", &|p| p.gcp.sigma_height_m.is_some());
     }
-    let large = |sigma: Option<f64>| sigma.is_some_and(|s| s >= 1.0);
+    let large = |sigma: Option<f64>, unit_m: f64| sigma.is_some_and(|s| s >= unit_m);
     if format == ListFormat::MicMac {
-        say("sigma_m of 1 m or more", &|p| large(p.gcp.sigma_m));
-        say("sigma_height_m of 1 m or more", &|p| large(p.gcp.sigma_height_m));
+        let (unit_m, height_unit_m) = units::accuracy_units(survey.crs.as_ref());
+        say(&format!("sigma_m of {unit_m} m or more"), &|p| large(p.gcp.sigma_m, unit_m));
+        say(&format!("sigma_height_m of {height_unit_m} m or more"), &|p| large(p.gcp.sigma_height_m, height_unit_m));
     }
     if !holds.role {
         say("role (check point)", &|p| p.gcp.role == GcpRole::Check);

@@ -24,7 +24,9 @@ pub(super) fn write(survey: &Survey, format: ListFormat) -> Result<String> {
         ListFormat::Pix4d => {
             programs::pix4d(survey.gcps(), survey.crs.as_ref()).expect("lists without heights were refused")
         }
-        ListFormat::MicMac => programs::micmac(survey.gcps()).expect("lists without heights were refused"),
+        ListFormat::MicMac => {
+            programs::micmac(survey.gcps(), survey.crs.as_ref()).expect("lists without heights were refused")
+        }
         _ => csv(survey),
     })
 }

@@ -14,7 +14,8 @@ use autoref_raster::error::Result;
 /// # Errors
 /// When a file cannot be written, or a point has no height.
 pub fn write(ground: &Path, image: &Path, tie_points: &TiePoints) -> Result<()> {
-    let appuis = programs::micmac(tie_points.gcps()).map_err(|name| no_height("MicMac", name))?;
+    let appuis =
+        programs::micmac(tie_points.gcps(), tie_points.crs.as_ref()).map_err(|name| no_height("MicMac", name))?;
     let mut mesures = format!(
         "<?xml version=\"1.0\" ?>\n<SetOfMesureAppuisFlottants>\n     <MesureAppuiFlottant1Im>\n          <NameIm>{}</NameIm>\n",
         escape(tie_points.image_name.as_str())

@@ -256,6 +256,17 @@ mod tests {
     }
 
     #[test]
+    fn lists_of_one_unit_have_their_accuracies_in_it() {
+        let feet = || Some(Crs::from_epsg(2263).expect("US survey feet"));
+        let text = written("A", Output::MicMac, feet());
+        assert!(text.contains("<Incertitude>0.0656166") && text.contains(" 0.295275"), "{text}");
+        let text = written("A", Output::Pix4d, feet());
+        assert!(text.contains(",0.0656166") && text.contains(",0.295275"), "{text}");
+        let text = written("A", Output::Metashape, feet());
+        assert!(text.contains("sx=\"0.02\"") && text.contains("Accuracy_(m)"), "{text}");
+    }
+
+    #[test]
     fn pix4d_has_the_latitude_first() {
         let degrees = Crs::from_epsg(4326).expect("WGS 84");
         assert!(written("A", Output::Pix4d, Some(degrees)).starts_with("A,59.9,10.7,12,"));

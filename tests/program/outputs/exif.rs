@@ -79,6 +79,28 @@ fn a_jpeg_takes_its_place_into_its_exif() {
     }
 }
 
+/// The German system of DHDN differs from WGS 84 by a change of datum that is good to metres only.
+#[test]
+fn a_coarse_change_of_datum_is_accepted_by_its_option() {
+    let sample = Sample::new(TURNED);
+    let driver = gdal::DriverManager::get_driver_by_name("JPEG").expect("there");
+    let memory = gdal::DriverManager::get_driver_by_name("MEM").expect("there");
+    let drawn = memory.create_with_band_type::<u8, _>("", SIZE.0, SIZE.1, 1).expect("created");
+    let jpeg = sample.path("e6.jpg");
+    drawn.create_copy(&driver, &jpeg, &RasterCreationOptions::new()).expect("written").close().expect("written");
+    let text = std::fs::read_to_string(sample.path("e6.autoref.json")).expect("written");
+    let mut result: serde_json::Value = serde_json::from_str(&text).expect("a document");
+    result["crs"] = "EPSG:31467".into();
+    result["geotransform"] = serde_json::json!([3_500_000.0, 0.03, 0.0, 5_500_000.0, 0.0, -0.03]);
+    std::fs::write(sample.path("e6.autoref.json"), result.to_string()).expect("written");
+    let image = jpeg.to_str().expect("plain");
+    let said = sample.apply(&[image, "--write", "exif"]);
+    refused(&said, &["--write exif", "WGS 84", "accept it with --datum-accuracy"]);
+    succeeded(&sample.apply(&[image, "--write", "exif", "--datum-accuracy", "10"]));
+    let items = exif_of(&sample.path("e6.exif.jpg"));
+    assert!((exif_numbers(&items, "EXIF_GPSLatitude")[0] - 49.0).abs() < 1.0, "{items:?}");
+}
+
 /// A camera's EXIF keeps all but the place; the maker's notes keep their positions.
 #[test]
 fn the_exif_of_a_camera_stays() {

@@ -1,5 +1,6 @@
 //! One result, all outputs: every one read back by its own rules, and nothing half-written when something fails.
 
+mod beside;
 mod elevation_model;
 mod exif;
 mod failures;

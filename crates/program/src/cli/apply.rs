@@ -31,6 +31,10 @@ pub struct ApplyArgs {
     /// Image of a multi-page file, counted from 0. Default: the one that was solved.
     #[arg(long, value_name = "N", help_heading = "Reading")]
     pub page: Option<usize>,
+    /// With --write exif: worst accuracy of the change of datum to WGS 84 that is accepted, metres by the authority's
+    /// word. Default: 1.5.
+    #[arg(long, value_name = "M", help_heading = "Output")]
+    pub datum_accuracy: Option<f64>,
     /// Bound on the peak resident memory of the whole program: bytes, or with K, M or G.
     #[arg(long, value_name = "SIZE", default_value = "512M", help_heading = "Resources")]
     pub memory: Bytes,
@@ -65,10 +69,15 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
         }
     };
     let _folder = args.write.folder()?;
-    let request = args.write.request(&image, page, args.memory.0, threads(args.threads))?;
+    let mut request = args.write.request(&image, page, args.memory.0, threads(args.threads))?;
+    request.datum_accuracy_m = args.datum_accuracy.unwrap_or(request.datum_accuracy_m);
+    // No place is needed to refuse what is no length.
+    request.check_place(None, &[])?;
     let mut transaction = Transaction::new();
     let bar = WarpBar::new(&request, Telling::silent_if(args.quiet || args.json));
-    let warnings = request.stage(&result, &mut transaction, &|done| bar.set(done))?;
+    let to_open = request.what_to_open(&request.found(&result)?)?;
+    let staged = request.stage(&result, &mut transaction, &|done| bar.set(done))?;
+    let warnings: Vec<String> = to_open.into_iter().chain(staged).collect();
     drop(bar);
     let written: Vec<String> = transaction.paths().iter().map(|path| path.display().to_string()).collect();
     transaction.commit()?;

@@ -11,6 +11,7 @@ use autoref_raster::memory_plan;
 use autoref_raster::words::counted;
 use autoref_stream::candidate::{Candidate, least_whole_area_px};
 use autoref_stream::gcp::GcpList;
+use autoref_stream::georef::shown::Found;
 use autoref_stream::matching::diagnosis::Diagnosis;
 use autoref_stream::matching::{Effort, Evidence, Pattern, SearchEnd};
 use autoref_stream::pipeline::georeference::{FoundMark, Orientation, Outcome, Run};
@@ -116,8 +117,8 @@ impl Document {
     }
 
     /// An existing georeference is reported, with how far the new one moves the image; not one that an earlier run has
-    /// `written`.
-    pub(super) fn prior(&mut self, info: &RasterInfo, written: Option<GeoTransform>, list: &GcpList) {
+    /// `written`. `found`: where GDAL finds the new one.
+    pub(super) fn prior(&mut self, info: &RasterInfo, written: Option<GeoTransform>, list: &GcpList, found: &Found) {
         let Some(old) = info.geotransform.filter(|old| written != Some(*old)) else { return };
         let size = (info.width, info.height);
         let here = list.crs.as_ref().filter(|crs| !crs.is_geographic()).and_then(|crs| {
@@ -128,8 +129,11 @@ impl Document {
         let change =
             self.result.geotransform().zip(here).map(|(new, here)| Overridden::between(&here, &new, size, per_unit));
         if self.result.solved().is_some() {
-            let plain = || "the image's own georeference is overridden".to_owned();
-            self.result.warn(change.as_ref().map_or_else(plain, Overridden::note));
+            let said = match &change {
+                Some(change) => Some(change.note(found)),
+                None => Overridden::plain(found).map(str::to_owned),
+            };
+            self.result.warnings.extend(said.map(Warning::Said));
         }
         self.result.prior_georeference = Some(PriorGeoreference {
             geotransform: old,

@@ -1,6 +1,9 @@
 //! What a new georeference changes in the one that the image had.
 
 use autoref_raster::coords::{GeoTransform, PixelPoint};
+use autoref_stream::georef::shown::Found;
+
+const OVERRIDDEN: &str = "the image's own georeference is overridden";
 
 /// How far a new georeference moves an image, and how it turns and stretches it.
 pub struct Overridden {
@@ -26,12 +29,27 @@ impl Overridden {
         }
     }
 
-    pub fn note(&self) -> String {
+    /// `found`: where GDAL finds the new georeference.
+    pub fn note(&self, found: &Found) -> String {
         let how = if self.how.is_empty() { String::new() } else { format!(" ({})", self.how.join(", ")) };
-        format!(
-            "the image's own georeference is overridden; its corners move by up to {:.3} m, its centre by {:.3} m{how}",
-            self.corner_moved_m, self.centre_moved_m
-        )
+        let (corners_m, centre_m) = (self.corner_moved_m, self.centre_moved_m);
+        let moves = format!("corners move by up to {corners_m:.3} m, its centre by {centre_m:.3} m{how}");
+        match found {
+            Found::InImage => format!("{OVERRIDDEN}; its {moves}"),
+            Found::In(_) | Found::Nowhere => {
+                format!("by the new georeference the image's {moves}; the image itself keeps the one that it has")
+            }
+            Found::Unknown => format!("by the new georeference the image's {moves}"),
+        }
+    }
+
+    /// The same where it is not known how far the image moves; `None` where nothing can be said.
+    pub fn plain(found: &Found) -> Option<&'static str> {
+        match found {
+            Found::InImage => Some(OVERRIDDEN),
+            Found::In(_) | Found::Nowhere => Some("the image itself keeps the georeference that it has"),
+            Found::Unknown => None,
+        }
     }
 }
 
@@ -88,24 +106,33 @@ mod tests {
     fn a_turn_and_a_scale_about_the_centre_are_told() {
         let right = about_the_centre(0.03, 0.0);
         let turned = Overridden::between(&about_the_centre(0.03, 90.0), &right, SIZE, 1.0);
-        assert!(turned.centre_moved_m < 1e-9 && (turned.corner_moved_m - 60.0).abs() < 1e-6, "{}", turned.note());
-        assert!(turned.note().contains("turned by 90.000° clockwise"), "{}", turned.note());
-        let scaled = Overridden::between(&about_the_centre(0.03 / 1.003, 0.0), &right, SIZE, 1.0).note();
+        assert!(
+            turned.centre_moved_m < 1e-9 && (turned.corner_moved_m - 60.0).abs() < 1e-6,
+            "{}",
+            turned.note(&Found::InImage)
+        );
+        assert!(
+            turned.note(&Found::InImage).contains("turned by 90.000° clockwise"),
+            "{}",
+            turned.note(&Found::InImage)
+        );
+        let scaled = Overridden::between(&about_the_centre(0.03 / 1.003, 0.0), &right, SIZE, 1.0).note(&Found::InImage);
         assert!(scaled.contains("(pixels 0.300 % larger)"), "{scaled}");
-        let feet = Overridden::between(&about_the_centre(0.03 / 0.3048, 0.0), &right, SIZE, 1.0).note();
+        let feet = Overridden::between(&about_the_centre(0.03 / 0.3048, 0.0), &right, SIZE, 1.0).note(&Found::InImage);
         assert!(feet.contains("(pixels 0.3048 times as large)"), "{feet}");
     }
 
     #[test]
     fn what_no_corner_notices_is_not_told() {
-        let note = Overridden::between(&about_the_centre(0.03, 0.01), &about_the_centre(0.03, 0.0), SIZE, 1.0).note();
+        let note = Overridden::between(&about_the_centre(0.03, 0.01), &about_the_centre(0.03, 0.0), SIZE, 1.0)
+            .note(&Found::InImage);
         assert!(!note.contains('('), "{note}");
     }
 
     #[test]
     fn a_mirrored_georeference_is_told() {
         let south_up = GeoTransform([0.0, 0.03, 0.0, 0.0, 0.0, 0.03]);
-        let note = Overridden::between(&south_up, &about_the_centre(0.03, 0.0), SIZE, 1.0).note();
+        let note = Overridden::between(&south_up, &about_the_centre(0.03, 0.0), SIZE, 1.0).note(&Found::InImage);
         assert!(note.contains("(mirrored)"), "{note}");
     }
 }

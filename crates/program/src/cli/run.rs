@@ -7,9 +7,11 @@ use std::time::Instant;
 use anyhow::Context;
 use autoref_raster::RasterInfo;
 use autoref_raster::atomic::{self, Existing, Transaction};
+use autoref_raster::coords::GeoTransform;
 use autoref_raster::error::Error;
 use autoref_raster::memory_plan;
 use autoref_stream::gcp::{self, GcpList};
+use autoref_stream::georef::output::Output;
 use autoref_stream::georef::write::WriteRequest;
 use autoref_stream::georef::{beneath, dialects};
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit};
@@ -206,7 +208,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     accuracy::state(&mut document.result, &list, &args.look.gcps.accuracy, (info.width as f64, info.height as f64));
     working_crs::deliver(&mut document.result, &list, place.size_px)?;
     document.result.warnings.extend(plan.notes.iter().cloned().map(Warning::Said));
-    document.prior(info, written, &list);
+    say_where_it_lies(&mut document, &request, (info, written), &list)?;
     let report_started = Instant::now();
     let gathered = tracing::info_span!("report").in_scope(|| watch.gather(&mut document.result))?;
     document.result.timings.report_s = report_started.elapsed().as_secs_f64();
@@ -218,6 +220,24 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     write_outputs(&request, &json, report, &mut document, started, telling, dem)?;
     print(&document.result, Printing { json: args.look.json, quiet: args.look.quiet });
     Ok(document.exit_code())
+}
+
+/// Says what becomes of the georeference that the image had, and which file has the new one. `info`: the image as it
+/// came; `written`: what an earlier run has put over that.
+fn say_where_it_lies(
+    document: &mut Document,
+    request: &WriteRequest,
+    (info, written): (&RasterInfo, Option<GeoTransform>),
+    list: &GcpList,
+) -> Result<(), Error> {
+    let found = request.found(&document.result)?;
+    document.prior(info, written, list, &found);
+    if document.result.solved().is_some() {
+        // First, since a brief summary has the first notes only.
+        let to_open = request.what_to_open(&found)?.map(Warning::Said);
+        document.result.warnings.splice(..0, to_open);
+    }
+    Ok(())
 }
 
 /// How often a run may look at the image.
@@ -242,13 +262,17 @@ impl RunArgs {
     /// # Errors
     /// When an output cannot be written, or is there and is to be kept.
     fn outputs(&self, image: &Path, list: &GcpList) -> anyhow::Result<Outputs> {
-        let request = self.write.request(
+        let mut request = self.write.request(
             image,
             self.look.read.page,
             self.look.read.memory.0,
             prepare::threads(self.look.read.threads),
         )?;
+        request.datum_accuracy_m = self.look.gcps.working_crs.datum_accuracy;
         request.check_local(list.crs.as_ref())?;
+        if request.wants(Output::Exif) {
+            request.check_place(list.crs.as_ref(), &working_crs::places(list)?)?;
+        }
         dialects::check(&request.kinds, image, list.crs.as_ref(), &list.gcps)?;
         let json = beneath::result_path(&request.base);
         let report = self.report.wanted().then(|| report::path(&json));

@@ -10,6 +10,8 @@ enum Needs {
     Given(&'static str),
     /// One of them given.
     GivenOneOf(&'static [&'static str]),
+    /// The first given, or the second one of these words.
+    GivenOrWord(&'static str, &'static str, &'static [&'static str]),
     /// One of these words.
     Word(&'static str, &'static [&'static str]),
     /// None of these words; without words, not given.
@@ -17,7 +19,7 @@ enum Needs {
     /// What never is, and why.
     Never(&'static str),
 }
-use Needs::{Given, GivenOneOf, Never, NoWord, Word};
+use Needs::{Given, GivenOneOf, GivenOrWord, Never, NoWord, Word};
 
 /// Every command that has both options; the main job.
 const ANY: &str = "";
@@ -25,7 +27,7 @@ pub const JOB: &str = "autoref-stream";
 
 /// A command by its names, an option by its identifier, and what it needs. A rule holds for commands that have
 /// the other option: clap does not heed `requires` where what is required is excluded by an option that is given.
-const RULES: [(&str, &str, Needs); 51] = [
+const RULES: [(&str, &str, Needs); 53] = [
     (ANY, "reproject", Given("to_crs")),
     (ANY, "angles", Given("cameras")),
     (ANY, "blend", NoWord("choose", &["median", "feather"])),
@@ -35,7 +37,9 @@ const RULES: [(&str, &str, Needs); 51] = [
     (ANY, "relief", NoWord("dem", &[])),
     (ANY, "keep_noise", NoWord("like_pdal", &[])),
     (ANY, "tpp_seed", Given("tpp_random")),
-    (JOB, "datum_accuracy", Given("to_crs")),
+    (JOB, "datum_accuracy", GivenOrWord("to_crs", "write", &["exif"])),
+    ("apply", "datum_accuracy", Given("write")),
+    ("apply", "datum_accuracy", Word("write", &["exif"])),
     ("solve", "datum_accuracy", Given("to_crs")),
     ("solve", "prior", Never("no image is read")),
     ("compare-solvers", "datum_accuracy", Given("to_crs")),
@@ -194,6 +198,11 @@ fn missing(matches: &ArgMatches, needs: &Needs) -> Option<(String, Option<String
             let what = format!(" where none of {} is given", others.join(", "));
             Some((what, Some(format!("give {}", others.join(" or ")))))
         }
+        GivenOrWord(first, other, words) if !is_given(matches, first) && !is_word(matches, other, words) => {
+            let (first, other, words) = (flag(first), flag(other), words.join(" or "));
+            let what = format!(" where {first} is not given and {other} has no {words}");
+            Some((what, Some(format!("give {first}, or {other} {words}"))))
+        }
         Word(other, words) if has(matches, other) && !is_word(matches, other, words) => {
             let words = words.join(" or ");
             Some((format!(" where {} is not {words}", flag(other)), Some(format!("give {} {words}", flag(other)))))
@@ -252,6 +261,7 @@ mod tests {
             ("sample|a.tif|--mask|b.tif|--crs|EPSG:25832", "--crs has no effect where --gcps is not given"),
             ("apply|a.json|a.tif|--same-extent", "--same-extent has no effect where --to is not given"),
             ("a.tif|--gcps|b.csv|--datum-accuracy|9", "--datum-accuracy has no effect where --to-crs is not given"),
+            ("apply|a.json|--write|aux|--datum-accuracy|9", "--datum-accuracy has no effect where --write is not exif"),
             ("solve|a.csv|--gcps|b.csv|--prior|none", "--prior has no effect: no image is read"),
             ("solve|a.json|--patch|b.json|--check|A", "--check has no effect where --patch is given: a replay"),
             ("compare-solvers|a.json|--gcps|b.csv", "--gcps has no effect where a result or a table is compared"),
@@ -277,6 +287,8 @@ mod tests {
         for words in [
             "a.tif|--gcps|b.csv",
             "a.tif|--gcps|b.csv|--matcher|tpp|--tpp-radius|0.1",
+            "a.jpg|--gcps|b.csv|--write|aux,exif|--datum-accuracy|9",
+            "apply|a.json|--write|exif|--datum-accuracy|9",
             "a.tif|--gcps|b.csv|--reproject|after|--to-crs|EPSG:25833",
             "mosaic|a.tif|-o|b.tif|--blend|5",
             "mosaic|a.tif|-o|b.tif|--use-index|c.tif",
@@ -300,6 +312,7 @@ mod tests {
             for rule in RULES.iter().filter(|(of, option, _)| (*of == ANY || *of == path) && has(option)) {
                 match &rule.2 {
                     Given(other) | Word(other, _) | NoWord(other, _) if has(other) => found.push(rule.1),
+                    GivenOrWord(first, other, _) if has(first) && has(other) => found.push(rule.1),
                     GivenOneOf(others) if others.iter().all(|other| has(other)) => found.push(rule.1),
                     Never(_) => found.push(rule.1),
                     // A word that a command lacks is heeded by no rule; what must be given must be there.

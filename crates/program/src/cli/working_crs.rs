@@ -2,7 +2,8 @@
 
 use autoref_raster::RasterInfo;
 use autoref_raster::crs::{Coordinate, DEFAULT_DATUM_ACCURACY_M};
-use autoref_stream::gcp::{GcpList, GcpOptions, ImageGeoreference, Reproject};
+use autoref_raster::error::Error;
+use autoref_stream::gcp::{Gcp, GcpList, GcpOptions, ImageGeoreference, Reproject};
 use autoref_stream::matching::diagnosis::Mistake;
 use autoref_stream::result::{RunResult, Warning};
 use clap::{Args, ValueEnum};
@@ -14,7 +15,8 @@ pub struct WorkingCrsArgs {
     /// Whether --to-crs is applied to the points before the fit, or to the result after it.
     #[arg(long, value_enum, default_value = "before", help_heading = "Ground control points")]
     pub reproject: ReprojectArg,
-    /// Worst accuracy of a change of datum that is accepted, metres by the authority's word.
+    /// Worst accuracy of a change of datum that is accepted, metres by the authority's word: by --to-crs, and to the
+    /// WGS 84 of --write exif.
     #[arg(long, value_name = "M", default_value_t = DEFAULT_DATUM_ACCURACY_M, help_heading = "Ground control points")]
     pub datum_accuracy: f64,
     /// Layer of a file with several (GeoPackage, KML, spreadsheet).
@@ -94,6 +96,17 @@ pub fn of_image(info: &RasterInfo) -> Option<ImageGeoreference> {
         transform: info.geotransform,
         size_px: (info.width, info.height),
     })
+}
+
+/// Where the points of a list lie in the CRS of the outputs.
+///
+/// # Errors
+/// When they cannot be brought into it.
+pub fn places(list: &GcpList) -> Result<Vec<Coordinate>, Error> {
+    let place = |gcp: &Gcp| Coordinate { x: gcp.easting, y: gcp.northing, height: gcp.height };
+    let mut places: Vec<Coordinate> = list.gcps.iter().map(place).collect();
+    list.working_crs.leave(&mut places)?;
+    Ok(places)
 }
 
 /// Brings transform and points of a result from the metres of the fit into the units and CRS of the outputs. Residuals,

@@ -7,6 +7,7 @@ use autoref_raster::error::Error;
 use autoref_raster::output_folder::OutputFolder;
 use autoref_raster::tile_folder;
 use autoref_stream::georef::output::Output;
+use autoref_stream::georef::shown;
 use autoref_stream::georef::warp::{Border, Compression, Resampling, WarpOptions};
 use autoref_stream::georef::write::WriteRequest;
 use clap::Args;
@@ -18,7 +19,8 @@ use crate::cli::progress::Telling;
 /// What is written and where.
 #[derive(Args, Debug)]
 pub struct WriteArgs {
-    /// What to write. Default: world,aux, and vrt too with --out; for a folder or list of tiles only vrt.
+    /// What to write. Default: world,aux, and vrt too with --out and for an image of which GDAL passes these over; for a
+    /// folder or list of tiles only vrt.
     #[arg(long, value_name = "KIND,…", value_delimiter = ',', value_parser = kinds(), help_heading = "Output")]
     pub write: Vec<Output>,
     /// Write here instead of beside the image.
@@ -84,13 +86,13 @@ fn kinds() -> impl TypedValueParser<Value = Output> {
 }
 
 impl WriteArgs {
-    fn kinds(&self, image: &Path) -> Vec<Output> {
+    fn kinds(&self, image: &Path, page: usize) -> Vec<Output> {
         match (self.write.is_empty(), &self.out) {
             // The tiles' own world files are what places them: nothing replaces them unasked.
             (true, _) if tile_folder::is_tile_folder(image) => vec![Output::Vrt],
             (false, _) => self.write.clone(),
-            (true, None) => vec![Output::World, Output::Aux],
-            (true, Some(_)) => vec![Output::World, Output::Aux, Output::Vrt],
+            (true, None) if shown::heeds_sidecars(image, page) => vec![Output::World, Output::Aux],
+            (true, _) => vec![Output::World, Output::Aux, Output::Vrt],
         }
     }
 
@@ -128,7 +130,7 @@ impl WriteArgs {
         memory_budget_bytes: u64,
         threads: usize,
     ) -> anyhow::Result<WriteRequest> {
-        let kinds = self.kinds(image);
+        let kinds = self.kinds(image, page);
         self.refuse_what_has_no_effect(&kinds)?;
         let mut request = WriteRequest::new(image, self.out.as_deref(), &kinds, Existing::of_flag(self.overwrite));
         request.page = page;
