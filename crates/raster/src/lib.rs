@@ -19,6 +19,7 @@
 //! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
+mod aside;
 pub mod atomic;
 pub mod bilinear;
 pub mod bounded;
@@ -58,6 +59,7 @@ pub mod ranks;
 pub mod referred;
 pub mod rings;
 pub mod sets;
+pub mod sidecars;
 pub mod simd;
 pub mod srgb;
 pub mod tiff;
