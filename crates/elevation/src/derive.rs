@@ -11,8 +11,9 @@ use std::os::unix::ffi::OsStrExt;
 
 use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags};
 
-use autoref_raster::{HeightBand, Written, failed_to_write, is_cut_table};
+use autoref_raster::{HeightBand, Written, failed_to_write, is_cut_table, metres_per_value};
 
+use crate::crs::Crs;
 use crate::error::{Error, Result};
 use crate::gdal_call::{c_string, failure, last_error};
 use crate::model::look_through;
@@ -61,8 +62,8 @@ pub fn check_heights(model: &Path) -> Result<()> {
     }
     let band = dataset.rasterband(1).map_err(|e| Error::gdal(model, e))?;
     let scale = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
-    let rule =
-        HeightBand { nodata: band.no_data_value(), scale, masked: false, metres_per_value: 1.0, unit_name: None };
+    let metres_per_value = metres_per_value(&band, Crs::parse(&dataset.projection()).ok().as_ref());
+    let rule = HeightBand { nodata: band.no_data_value(), scale, masked: false, metres_per_value, unit_name: None };
     let mut found = false;
     look(model, &dataset, |v| {
         found |= !rule.is_void(v);
