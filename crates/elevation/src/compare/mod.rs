@@ -216,7 +216,7 @@ impl CompareJob<'_> {
     ) -> Result<First> {
         const NODATA: f64 = -9999.0;
         let grid = scan.grid;
-        let wkt = crate::labels::without_heights(self.b, couple.b.wkt())?;
+        let wkt = autoref_raster::crs::without_heights(self.b, couple.b.wkt())?;
         let form = Form { grid, wkt: &wkt, bands: 1, nodata: Some(NODATA), predictor: 3, threads: means.threads };
         let dataset = output::create::<f32>(path, &form)?;
         autoref_raster::set_height_unit(path, &dataset, "m")?;
