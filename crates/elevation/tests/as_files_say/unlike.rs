@@ -4,6 +4,12 @@ use super::*;
 
 const PLACE: [f64; 6] = [500_000.0, 10.0, 0.0, 8_700_000.0, 0.0, -10.0];
 
+fn update(path: &Path) -> Dataset {
+    let flags = gdal::GdalOpenFlags::GDAL_OF_UPDATE;
+    let options = gdal::DatasetOptions { open_flags: flags, ..Default::default() };
+    Dataset::open_ex(path, options).expect("opens")
+}
+
 /// A kilometre is a hundred thousand centimetres, and ground all the same.
 #[test]
 fn ground_is_ground_in_every_unit() {
@@ -11,6 +17,7 @@ fn ground_is_ground_in_every_unit() {
     let at = |name: &str| folder.path().join(name);
     let high: Vec<f64> = hills(0.0, 0.0).iter().map(|z| f64::from(*z) * 8.0).collect();
     let b = model(&at("b.tif"), "EPSG:32633", high.iter().map(|z| *z as f32).collect(), -10.0);
+    autoref_raster::set_height_unit(&b, &update(&b), "m").expect("labelled");
     let lines = |model: &Path, name: &str| derive::contour(model, &at(name), 100.0, 0.0, MEMORY).expect("lines");
     let expected = lines(&b, "m.geojson");
     for (unit, per_metre) in [("dm", 10.0), ("cm", 100.0), ("mm", 1000.0)] {
@@ -99,11 +106,7 @@ fn rows_from_the_south_join_a_mosaic() {
     let turned: Vec<f32> = values.chunks(SIDE).rev().flatten().copied().collect();
     let inputs = [(-10.0, &values), (10.0, &turned)].map(|(step, values)| {
         let path = model(&at(&format!("{step}.tif")), "EPSG:32633", values.clone(), step);
-        let set = Dataset::open_ex(
-            &path,
-            gdal::DatasetOptions { open_flags: gdal::GdalOpenFlags::GDAL_OF_UPDATE, ..Default::default() },
-        );
-        let set = set.expect("opens");
+        let set = update(&path);
         let mut band = set.rasterband(1).expect("a band");
         band.set_no_data_value(Some(-9999.0)).expect("labelled");
         path
