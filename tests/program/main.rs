@@ -17,6 +17,7 @@ mod cloud;
 mod coded;
 mod command_line;
 mod commands;
+mod companions;
 mod conversions;
 mod detection_commands;
 mod dialects;

@@ -17,13 +17,17 @@ const MOST_FILES: usize = 24;
 
 /// Runs the case with what `strace` puts in.
 fn run_with(dir: &Path, case: &Case, fault: &[&str]) -> Output {
+    run_words(dir, &case.arguments(), fault)
+}
+
+pub(super) fn run_words(dir: &Path, words: &[String], fault: &[&str]) -> Output {
     let mut command = Command::new("strace");
     command.args(["-f", "-qq", "-o", "/dev/null"]).args(fault).arg(env!("CARGO_BIN_EXE_autoref-stream"));
-    surround(command.args(case.arguments()), dir);
+    surround(command.args(words), dir);
     command.output().expect("strace starts")
 }
 
-fn can_trace() -> bool {
+pub(super) fn can_trace() -> bool {
     let tried = Command::new("strace").args(["-qq", "-o", "/dev/null", "true"]).output();
     let can = tried.is_ok_and(|run| run.status.success());
     if !can {

@@ -420,6 +420,7 @@ fn write(
     // Noise is what this run found: labels of an earlier run would hide it.
     let seeks_noise = plan.steps.iter().any(|step| !matches!(step, Step::Ground(_)));
     let class_field = header.schema.field("classification").cloned();
+    let withheld_field = header.schema.field("withheld").cloned();
     let mut batch = Batch::default();
     let mut index = 0;
     loop {
@@ -440,8 +441,10 @@ fn write(
             }
             let raw = batch.record(&header.schema, at);
             let came = || class_field.as_ref().map_or(0, |field| field.value(raw) as u8);
+            // No step saw it: what it came as stands.
+            let is_withheld = || withheld_field.as_ref().is_some_and(|field| field.value(raw) == 1.0);
             let class = match class {
-                0 if seeks_noise && matches!(came(), 7 | 18) => Some(OBJECT),
+                0 if seeks_noise && matches!(came(), 7 | 18) && !is_withheld() => Some(OBJECT),
                 0 if class_field.is_none() => Some(OBJECT),
                 0 => None,
                 class => Some(class),

@@ -2,6 +2,8 @@
 //! here.
 
 mod common;
+#[path = "declared/unseen.rs"]
+mod unseen;
 
 use std::path::{Path, PathBuf};
 
@@ -196,8 +198,11 @@ fn names(path: &Path) -> Vec<String> {
 }
 
 fn gridded(path: &Path, dimensions: &[&str], cell_m: f64) -> autoref_cloud::Result<GridReport> {
-    let folder = path.parent().expect("in a folder");
-    let options = Options {
+    grid::grid(path, path.parent().expect("in a folder"), &options(path, dimensions, cell_m))
+}
+
+fn options(path: &Path, dimensions: &[&str], cell_m: f64) -> Options {
+    Options {
         cell_m,
         stats: vec![("mean".into(), Stat::Mean), ("max".into(), Stat::Max)],
         dimensions: dimensions.iter().map(|name| Dimension { name: (*name).into(), radius_m: 1.5 * cell_m }).collect(),
@@ -208,10 +213,9 @@ fn gridded(path: &Path, dimensions: &[&str], cell_m: f64) -> autoref_cloud::Resu
         shift: None,
         camera: None,
         memory_bytes: 512 << 20,
-        scratch: folder.to_path_buf(),
+        scratch: path.parent().expect("in a folder").to_path_buf(),
         crs_wkt: None,
-    };
-    grid::grid(path, folder, &options)
+    }
 }
 
 struct Folder(tempfile::TempDir);

@@ -11,8 +11,10 @@ use std::os::unix::ffi::OsStrExt;
 
 use gdal::{Dataset, DatasetOptions, DriverManager, GdalOpenFlags};
 
-use autoref_raster::{HeightBand, Written, failed_to_write, is_cut_table};
+use autoref_raster::crs::without_heights;
+use autoref_raster::{HeightBand, Written, failed_to_write, is_cut_table, metres_per_value};
 
+use crate::crs::Crs;
 use crate::error::{Error, Result};
 use crate::gdal_call::{c_string, failure, last_error};
 use crate::model::look_through;
@@ -61,8 +63,8 @@ pub fn check_heights(model: &Path) -> Result<()> {
     }
     let band = dataset.rasterband(1).map_err(|e| Error::gdal(model, e))?;
     let scale = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
-    let rule =
-        HeightBand { nodata: band.no_data_value(), scale, masked: false, metres_per_value: 1.0, unit_name: None };
+    let metres_per_value = metres_per_value(&band, Crs::parse(&dataset.projection()).ok().as_ref());
+    let rule = HeightBand { nodata: band.no_data_value(), scale, masked: false, metres_per_value, unit_name: None };
     let mut found = false;
     look(model, &dataset, |v| {
         found |= !rule.is_void(v);
@@ -127,6 +129,7 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
     let name = c_string(out, out.as_os_str().as_bytes())?;
     let kind = c_string(model, drawing.kind.as_bytes())?;
     let colours = colours.as_ref().map(|held| c_string(model, held.name.as_bytes())).transpose()?;
+    let plane = plane_of(model, &dataset, drawing.kind)?;
     // SAFETY: the list of options is ended by a null pointer; all strings and the dataset outlive the calls, the
     // options are freed once, and the dataset that is made is closed once and not used again.
     let failed = unsafe {
@@ -148,6 +151,9 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
             if made.is_null() {
                 Some(last_error())
             } else {
+                if let Some(plane) = &plane {
+                    gdal_sys::GDALSetProjection(made, plane.as_ptr());
+                }
                 gdal_sys::GDALClose(made);
                 failure()
             }
@@ -158,6 +164,16 @@ pub fn draw(model: &Path, out: &Path, drawing: &Drawing<'_>) -> Result<()> {
         Some(text) => Err(failed_to_write(out, &format!("drawing {}: {text}", model.display()))),
         None => Ok(()),
     }
+}
+
+/// The CRS of a picture that holds no heights, where the model's own says how heights count: GDAL copies it.
+fn plane_of(model: &Path, dataset: &Dataset, kind: &str) -> Result<Option<CString>> {
+    let (whole, of_heights) = (dataset.projection(), ["roughness", "TRI", "TPI"].contains(&kind));
+    if of_heights {
+        return Ok(None);
+    }
+    let plane = without_heights(model, &whole)?;
+    (plane != whole).then(|| c_string(model, plane.as_bytes())).transpose()
 }
 
 /// A table of colours in memory, where GDAL finds it under a name of its own: its reader does not survive every file,

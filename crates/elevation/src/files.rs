@@ -93,16 +93,19 @@ impl Resources {
 }
 
 /// Reads polygons of a vector file into the CRS of a model, where it counts its longitudes; the name of each is its
-/// attribute `name`, `id` or the like, or its number. `bounds` are the model's.
+/// attribute `name`, `id` or the like, or its number. `bounds` are the model's. What has no area among polygons is a
+/// zone without a cell.
 ///
 /// # Errors
 /// When the file cannot be read, or holds no polygon.
 pub fn read_zones(path: &Path, wkt: &str, bounds: [f64; 4]) -> Result<Zones> {
     let in_degrees = !wkt.is_empty() && Crs::parse(wkt)?.counts_degrees();
-    if !in_degrees {
-        return Ok(Zones::new(read_areas(path, wkt)?));
-    }
-    Ok(turns::zones_beside(read_polygons(path, wkt)?, bounds))
+    let areas = read_features(path, wkt)?;
+    Ok(if in_degrees { turns::zones_beside(areas, bounds) } else { Zones::new(areas.into_iter().map(flat)) })
+}
+
+fn flat((name, polygons): (String, Vec<Vec<Ring>>)) -> (String, Vec<Ring>) {
+    (name, polygons.into_iter().flatten().collect())
 }
 
 /// Polygons of any vector file with their names and rings, in the CRS of `wkt` where both it and the file name one.
@@ -111,7 +114,6 @@ pub fn read_zones(path: &Path, wkt: &str, bounds: [f64; 4]) -> Result<Zones> {
 /// # Errors
 /// When the file cannot be read, holds no polygon, or cannot be transformed.
 pub fn read_areas(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Ring>)>> {
-    let flat = |(name, polygons): (String, Vec<Vec<Ring>>)| (name, polygons.into_iter().flatten().collect());
     Ok(read_polygons(path, wkt)?.into_iter().map(flat).collect())
 }
 
@@ -120,6 +122,13 @@ pub fn read_areas(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Ring>)>> {
 /// # Errors
 /// Those of [`read_areas`].
 pub fn read_polygons(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring>>)>> {
+    let mut areas = read_features(path, wkt)?;
+    areas.retain(|(_, polygons)| !polygons.is_empty());
+    Ok(areas)
+}
+
+/// The same with the features that have no polygon, in layers that hold one.
+fn read_features(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring>>)>> {
     autoref_raster::bounded::refuse_endless(path)?;
     let failed = |e: gdal::errors::GdalError| Error::gdal(path, e);
     let flags = GdalOpenFlags::GDAL_OF_VECTOR | GdalOpenFlags::GDAL_OF_VERBOSE_ERROR;
@@ -127,17 +136,19 @@ pub fn read_polygons(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring
     let options = DatasetOptions { open_flags: flags, open_options, ..Default::default() };
     let dataset = Dataset::open_ex(path, options).map_err(failed)?;
     let mut areas: Vec<(String, Vec<Vec<Ring>>)> = Vec::new();
+    let mut count = 0;
     let target = (!wkt.is_empty()).then(|| Crs::parse(wkt)).transpose()?;
     for mut layer in dataset.layers() {
         let own = crs_of_layer(path, &layer)?;
+        let (before, first) = (count, areas.len());
         for feature in layer.features() {
-            let Some(geometry) = feature.geometry().filter(|_| crate::labels::has_geometry(&feature)) else { continue };
             let mut polygons: Vec<Vec<Ring>> = Vec::new();
-            collect_polygons(geometry, &mut polygons);
+            if let Some(geometry) = feature.geometry().filter(|_| crate::labels::has_geometry(&feature)) {
+                collect_polygons(geometry, &mut polygons);
+            }
+            let number = feature.fid().map_or_else(|| "without a number".into(), |id| id.to_string());
             if polygons.iter().flatten().flatten().any(|(x, y)| !(x.is_finite() && y.is_finite())) {
-                let place =
-                    format!("feature {}", feature.fid().map_or_else(|| "without a number".into(), |id| id.to_string()));
-                return Err(Error::format(path, place, "a coordinate of a corner is not finite"));
+                return Err(Error::format(path, format!("feature {number}"), "a coordinate of a corner is not finite"));
             }
             // GDAL takes GeoJSON that names no system for degrees; coordinates of a map show that they are none.
             let degrees = |&(x, y): &(f64, f64)| x.abs() <= 360.0 && y.abs() <= 90.0;
@@ -159,14 +170,17 @@ pub fn read_polygons(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring
                     }
                 }
             }
-            if polygons.is_empty() {
-                continue;
-            }
+            count += usize::from(!polygons.is_empty());
             let named = feature.fields().find(|(key, _)| {
                 ["name", "id", "glacier", "line", "zone"].contains(&key.to_ascii_lowercase().as_str())
             });
             let name = named.and_then(|(_, value)| value.and_then(|v| v.into_string()));
-            areas.push((name.unwrap_or_else(|| (areas.len() + 1).to_string()), polygons));
+            let unnamed = || if polygons.is_empty() { format!("feature {number}") } else { count.to_string() };
+            areas.push((name.unwrap_or_else(unnamed), polygons));
+        }
+        // Lines or points alone are no zones.
+        if count == before {
+            areas.truncate(first);
         }
     }
     if areas.is_empty() {

@@ -84,9 +84,10 @@ pub fn doubtful_unit(model: &Path) -> Result<Option<String>> {
 pub fn draw(model: &Path, out: &Path, picture: Picture, kernel: Kernel, edges: Edges, threads: usize) -> Result<()> {
     let model = Model::open(model)?;
     let byte = matches!(picture, Picture::Hillshade { .. } | Picture::Multidirectional { .. });
+    let wkt = autoref_raster::crs::without_heights(out, model.wkt())?;
     let form = Form {
         grid: model.grid(),
-        wkt: model.wkt(),
+        wkt: &wkt,
         bands: 1,
         nodata: Some(if byte { 0.0 } else { f64::from(NO_ANGLE) }),
         predictor: if byte { 2 } else { 3 },

@@ -17,7 +17,7 @@ use crate::source::{Heights, Patch};
 use crate::warp::warp_dataset;
 use autoref_raster::markup::escaped;
 use autoref_raster::tiff::FloatTiff;
-use autoref_raster::{HeightBand, masked};
+use autoref_raster::{HeightBand, masked, metres_per_value};
 
 /// Heights of a file. Several threads read at once, each with a dataset of its own.
 pub struct Model {
@@ -389,7 +389,8 @@ fn without_voids(path: &Path) -> Result<(Dataset, String)> {
     }
     let scale = (band.scale().unwrap_or(1.0), band.offset().unwrap_or(0.0));
     let (nodata, masked) = (band.no_data_value(), masked::has_mask(path, &band)?);
-    let rule = HeightBand { nodata, scale, masked, metres_per_value: 1.0, unit_name: None };
+    let metres_per_value = metres_per_value(&band, Crs::parse(&dataset.projection()).ok().as_ref());
+    let rule = HeightBand { nodata, scale, masked, metres_per_value, unit_name: None };
     let voids = undeclared_voids(path, &dataset, &rule)?;
     let kind = band.band_type();
     let (kind, nodata) = match (nodata, &voids[..]) {

@@ -80,6 +80,17 @@ pub(crate) fn zones_beside(areas: Vec<(String, Vec<Vec<Ring>>)>, [west, _, east,
     Zones::placed(areas)
 }
 
+/// What to say of zones without a cell, each with whether it has any area.
+pub(crate) fn notes_of_empty(zones: impl Iterator<Item = (String, bool)>) -> Vec<String> {
+    let (beside, flat): (Vec<_>, Vec<_>) = zones.partition(|(_, has_area)| *has_area);
+    let names = |zones: Vec<(String, bool)>| zones.into_iter().map(|(name, _)| name).collect::<Vec<_>>();
+    let flat = names(flat);
+    let (noun, have) = if flat.len() == 1 { ("zone", "has") } else { ("zones", "have") };
+    let flat = (!flat.is_empty())
+        .then(|| format!("{noun} {} {have} no area, and no cell: look at the geometry in QGIS", some_of(&flat)));
+    note_of_outside(&names(beside)).into_iter().chain(flat).collect()
+}
+
 /// What to say of areas without a cell.
 pub(crate) fn note_of_outside(names: &[String]) -> Option<String> {
     let (noun, have, places) =

@@ -10,6 +10,8 @@ mod references;
 mod sparse;
 #[path = "as_files_say/stretched.rs"]
 mod stretched;
+#[path = "as_files_say/unlike.rs"]
+mod unlike;
 #[path = "as_files_say/zeros.rs"]
 mod zeros;
 

@@ -4,13 +4,15 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+pub use crate::aside::refuse_left_behind;
 pub use crate::parts::{Part, abandon};
 
+use crate::aside::Aside;
 use crate::bounded::companions_of;
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
-use crate::parts::Placing;
-use crate::protected::refuse_input;
+use crate::parts::{Placing, temporary_name};
+use crate::protected::{refuse_input, refuse_inputs_beside};
 use crate::written::Written;
 
 /// What this process has put in place, in that order.
@@ -45,12 +47,13 @@ pub fn write(path: &Path, content: &[u8]) -> Result<()> {
 }
 
 /// Lets `produce` make a file under a temporary name in the same folder, then renames it to `path`. The extension is
-/// kept, since GDAL's drivers look at it.
+/// kept, since GDAL's drivers look at it. Companions of a file that is replaced go with it.
 ///
 /// # Errors
 /// Those of `produce` and of the renaming; the temporary file is removed then.
 pub fn with_temporary(path: &Path, produce: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
     refuse_input(path)?;
+    refuse_inputs_beside(path)?;
     refuse_special(path)?;
     remove_leftovers(path);
     let temporary = temporary_name(path);
@@ -59,12 +62,16 @@ pub fn with_temporary(path: &Path, produce: impl FnOnce(&Path) -> Result<()>) ->
     companions.iter().try_for_each(|end| refuse_input(&path.with_extension(end)))?;
     let result = watched(&temporary, || produce(&temporary)).and_then(|()| {
         let _placing = Placing::begin();
-        for end in companions.iter().filter(|end| temporary.with_extension(end).exists()) {
+        let made: Vec<_> = companions.iter().filter(|end| temporary.with_extension(end).exists()).collect();
+        let old = Aside::take(path, |beside| made.iter().any(|end| path.with_extension(end) == beside))?;
+        for end in made {
             let target = path.with_extension(end);
             std::fs::rename(temporary.with_extension(end), &target)
                 .map_err(|e| Error::io(&target, "put in place", e))?;
         }
-        std::fs::rename(&temporary, path).map_err(|e| Error::io(path, "put in place", e))
+        std::fs::rename(&temporary, path).map_err(|e| Error::io(path, "put in place", e))?;
+        old.remove();
+        Ok(())
     });
     if result.is_err() {
         // They may not exist; the first error is the one to report.
@@ -153,12 +160,6 @@ fn remove_leftovers(path: &Path) {
     }
 }
 
-fn temporary_name(path: &Path) -> PathBuf {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let extension = path.extension().map_or(String::new(), |e| format!(".{}", e.to_string_lossy()));
-    path.with_file_name(format!(".{stem}.{}.part{extension}", std::process::id()))
-}
-
 /// An edit that is not a file of its own: done after all files are in place, and taken back when a later one fails.
 pub trait Edit {
     /// Does it, whole or not at all.
@@ -177,8 +178,9 @@ pub trait Edit {
 
 /// Several files that appear together or not at all.
 ///
-/// Each is made under a temporary name; [`Transaction::commit`] renames them. When a renaming or the edit at the end
-/// fails, files that were replaced come back and new ones are removed. Dropped without commit, it leaves nothing.
+/// Each is made under a temporary name; [`Transaction::commit`] renames them, and companions of files that are replaced
+/// go with these. When a renaming or the edit at the end fails, files that were replaced come back and new ones are
+/// removed. Dropped without commit, it leaves nothing.
 #[derive(Default)]
 pub struct Transaction {
     staged: Vec<Staged>,
@@ -215,6 +217,7 @@ impl Transaction {
     pub fn stage_all(&mut self, targets: &[PathBuf], produce: impl FnOnce(&[PathBuf]) -> Result<()>) -> Result<()> {
         for (number, target) in targets.iter().enumerate() {
             refuse_input(target)?;
+            refuse_inputs_beside(target)?;
             refuse_special(target)?;
             remove_leftovers(target);
             let staged = self.staged.iter().map(|staged| &staged.target).chain(&targets[..number]);
@@ -279,6 +282,9 @@ impl Transaction {
         for staged in &mut self.staged {
             staged.keep_old()?;
         }
+        let is_written = |path: &Path| self.staged.iter().any(|staged| staged.target == path);
+        let old = self.staged.iter().map(|staged| Aside::take(&staged.target, is_written));
+        let old: Vec<Aside> = old.collect::<Result<_>>()?;
         for staged in &mut self.staged {
             std::fs::rename(&staged.temporary, &staged.target)
                 .map_err(|e| Error::io(&staged.target, "put in place", e))?;
@@ -293,6 +299,7 @@ impl Transaction {
                 return Err(error);
             }
         }
+        old.into_iter().for_each(Aside::remove);
         for staged in self.staged.drain(..) {
             complete(&staged.target);
             if let Some(backup) = &staged.backup {
@@ -389,14 +396,15 @@ impl Existing {
 /// Refuses, before any work, to write over what is there.
 ///
 /// # Errors
-/// [`Error::Usage`] naming the first file that exists and is to be kept, or that is a directory or an input of the
-/// command; [`Error::Io`] when a folder does not exist.
+/// [`Error::Usage`] naming the first file that exists and is to be kept (or has companions that would be read with it),
+/// or that is a directory or an input of the command; [`Error::Io`] when a folder does not exist.
 pub fn check_outputs(paths: &[&Path], existing: Existing) -> Result<()> {
     for path in paths {
         refuse_input(path)?;
         if is_special(path) {
             continue; // written into, not replaced
         }
+        refuse_inputs_beside(path)?;
         if path.is_dir() {
             return Err(Error::usage(format!("the output {} is a directory", path.display()), "name a file"));
         }
@@ -405,6 +413,9 @@ pub fn check_outputs(paths: &[&Path], existing: Existing) -> Result<()> {
                 format!("the output {} exists", path.display()),
                 "give --overwrite to replace it, or name another output",
             ));
+        }
+        if existing == Existing::Keep {
+            refuse_left_behind(path)?;
         }
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         if !folder.is_dir() {
@@ -441,20 +452,21 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 0);
     }
 
+    struct Fails(PathBuf);
+    impl Edit for Fails {
+        fn apply(&mut self) -> Result<()> {
+            Err(Error::usage("no", "none"))
+        }
+        fn revert(&mut self) -> Result<()> {
+            Ok(())
+        }
+        fn path(&self) -> &Path {
+            &self.0
+        }
+    }
+
     #[test]
     fn files_come_together_or_what_was_there_comes_back() {
-        struct Fails(PathBuf);
-        impl Edit for Fails {
-            fn apply(&mut self) -> Result<()> {
-                Err(Error::usage("no", "none"))
-            }
-            fn revert(&mut self) -> Result<()> {
-                Ok(())
-            }
-            fn path(&self) -> &Path {
-                &self.0
-            }
-        }
         let folder = tempfile::tempdir().expect("a temporary folder");
         let (old, new) = (folder.path().join("old.txt"), folder.path().join("new.txt"));
         std::fs::write(&old, "before").expect("writable");
@@ -476,6 +488,41 @@ mod tests {
         dropped.stage_bytes(&folder.path().join("c"), b"x").expect("writable");
         drop(dropped);
         assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 2);
+    }
+
+    #[test]
+    fn companions_go_with_what_they_belonged_to_and_come_back_with_it() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let at = |name: &str| folder.path().join(name);
+        let left = || {
+            let names = std::fs::read_dir(folder.path()).expect("readable").flatten();
+            let mut names: Vec<_> = names.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+            names.sort();
+            names.join(" ")
+        };
+        let all = "a.tfw a.tif a.tif.aux.xml a.tif.msk a.tif.msk.ovr a.tif.ovr b.tif.ovr";
+        let begin = || all.split(' ').for_each(|name| std::fs::write(at(name), "old").expect("writable"));
+        begin();
+        write(&at("a.tif"), b"new").expect("written");
+        assert_eq!(left(), "a.tif b.tif.ovr");
+        begin();
+        for fail in [true, false] {
+            let mut both = Transaction::new();
+            both.stage_bytes(&at("a.tif"), b"new").expect("staged");
+            // What is written with it stays, whichever comes first.
+            both.stage_bytes(&at("a.tif.aux.xml"), b"new").expect("staged");
+            if fail {
+                both.on_commit(Fails(at("a.tif")));
+            }
+            assert_eq!(both.commit().is_err(), fail);
+            assert_eq!(left(), if fail { all } else { "a.tif a.tif.aux.xml b.tif.ovr" });
+            let text = std::fs::read_to_string(at("a.tif.aux.xml")).expect("there");
+            assert_eq!(text, if fail { "old" } else { "new" });
+        }
+        assert!(check_outputs(&[&at("b.tif")], Existing::Keep).is_err_and(|e| e.to_string().contains("b.tif.ovr")));
+        assert!(check_outputs(&[&at("b.tif")], Existing::Replace).is_ok());
+        write(&at("b.tif"), b"new").expect("written");
+        assert_eq!(left(), "a.tif a.tif.aux.xml b.tif");
     }
 
     #[test]

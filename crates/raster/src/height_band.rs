@@ -13,7 +13,7 @@ use crate::units::{FOOT_M, US_SURVEY_FOOT_M};
 
 /// Values that stand for "no height" in files that name none.
 const USUAL_NODATA: [f64; 3] = [-32_768.0, -32_767.0, -9999.0];
-/// No ground lies higher or lower, in metres or feet.
+/// No ground lies higher or lower, in metres or feet; in finer units that many metres are meant.
 const BEYOND_ANY_GROUND: f64 = 1e5;
 
 /// How the stored values of a band become heights in metres.
@@ -28,6 +28,15 @@ pub struct HeightBand {
     pub metres_per_value: f64,
     /// What the file calls its unit, when it says.
     pub unit_name: Option<String>,
+}
+
+/// Metres in a unit of a band's heights, by its name, else by the vertical axis of its CRS; 1 where neither says one of
+/// length.
+pub fn metres_per_value(band: &RasterBand<'_>, crs: Option<&Crs>) -> f64 {
+    match unit_of(band) {
+        Some(name) => metres_of(&name).unwrap_or(1.0),
+        None => crs.and_then(Crs::height_metres_per_unit).unwrap_or(1.0),
+    }
 }
 
 /// Words by which files say that they name no unit; IDRISI writes `unspecified`.
@@ -72,7 +81,8 @@ impl HeightBand {
     pub fn is_void(&self, value: f64) -> bool {
         let height = value * self.scale.0 + self.scale.1;
         // Cells without height are left behind as other values too, whatever a file declares.
-        if !height.is_finite() || height.abs() >= BEYOND_ANY_GROUND {
+        let per_value = if self.metres_per_value < FOOT_M { self.metres_per_value } else { 1.0 };
+        if !height.is_finite() || (height * per_value).abs() >= BEYOND_ANY_GROUND {
             return true;
         }
         match self.nodata {
@@ -159,6 +169,14 @@ mod tests {
             assert!(band(Some(-9999.0)).is_void(value) && band(None).is_void(value), "{value}");
         }
         assert!(!band(Some(-9999.0)).is_void(-32_768.0), "another value is declared");
+        // 1000 m are ground in every unit; what no ground has is none.
+        for (metres_per_value, height, none) in
+            [(0.01, 1e5, 1e7), (0.1, 1e4, 1e6), (0.001, 8.8e6, 1e8), (FOOT_M, 29_000.0, 1e5), (1000.0, 8.8, 1e5)]
+        {
+            let band = HeightBand { metres_per_value, ..band(None) };
+            assert!(!band.is_void(height) && !band.is_void(-height), "{height} of {metres_per_value} m");
+            assert!(band.is_void(none) && band.is_void(-none), "{none} of {metres_per_value} m");
+        }
         assert!(band(None).is_void(-32_768.0) && !band(None).is_void(-12.0));
         // As a float32 file keeps it.
         assert!(band(Some(-3.402_823_466_385_288_6e38)).is_void(f64::from(f32::MIN)));

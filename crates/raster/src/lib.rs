@@ -19,6 +19,7 @@
 //! # Ok::<(), autoref_raster::Error>(())
 //! ```
 
+mod aside;
 pub mod atomic;
 pub mod bilinear;
 pub mod bounded;
@@ -58,6 +59,7 @@ pub mod ranks;
 pub mod referred;
 pub mod rings;
 pub mod sets;
+pub mod sidecars;
 pub mod simd;
 pub mod srgb;
 pub mod tiff;
@@ -73,7 +75,9 @@ pub use elevation::ElevationModel;
 pub use error::{Error, Result};
 pub use few_bits::FewBits;
 pub use gdal::{GdalSource, hear_gdal, initialise_gdal, vector_options};
-pub use height_band::{HeightBand, refuse_signed_bytes, same_unit, set_height_unit, set_unit, unit_of};
+pub use height_band::{
+    HeightBand, metres_per_value, refuse_signed_bytes, same_unit, set_height_unit, set_unit, unit_of,
+};
 pub use open::{georeference_at, georeference_inside, open, open_dataset, size};
 pub use patch::{Pixels, View, read_patch};
 pub use pool::{BufferPool, PooledBytes};

@@ -11,6 +11,13 @@ static PARTS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 static PLACING: AtomicUsize = AtomicUsize::new(0);
 static ENDING: AtomicBool = AtomicBool::new(false);
 
+/// A hidden name beside `path`, of this process; the extension is kept.
+pub(crate) fn temporary_name(path: &Path) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = path.extension().map_or(String::new(), |e| format!(".{}", e.to_string_lossy()));
+    path.with_file_name(format!(".{stem}.{}.part{extension}", std::process::id()))
+}
+
 const PAUSE: Duration = Duration::from_millis(5);
 
 /// A file or folder under a temporary name, from before it is made until it is in place or gone: a run that is told to

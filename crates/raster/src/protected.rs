@@ -11,6 +11,7 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::error::{Error, Result};
 use crate::referred::referred;
+use crate::sidecars::companions;
 
 /// What an input is known by, and how the user named it.
 struct Input {
@@ -92,7 +93,40 @@ pub fn refuse_input(output: &Path) -> Result<()> {
     }
 }
 
-/// The same for an output that is a folder, and for all that lies in it.
+/// Refuses an output with which an input, or what belongs to one, would go: it lies beside it as its companion.
+///
+/// # Errors
+/// [`Error::Usage`] naming both.
+pub fn refuse_inputs_beside(output: &Path) -> Result<()> {
+    let beside = companions(output);
+    if beside.is_empty() {
+        return Ok(());
+    }
+    follow();
+    let inputs = INPUTS.lock().unwrap_or_else(PoisonError::into_inner);
+    let belongs = |companion: &Path, input: &Input| {
+        let is_input = std::fs::metadata(companion).is_ok_and(|f| (f.dev(), f.ino()) == (input.device, input.inode));
+        // There may be thousands of inputs; few are called so.
+        let name = companion.file_name().unwrap_or_default().as_encoded_bytes();
+        let alike = || name.starts_with(input.path.file_stem().unwrap_or_default().as_encoded_bytes());
+        let is_own = || companions(&input.path).iter().any(|own| same_file(own, companion));
+        (is_input && input.is_in_place()) || (alike() && is_own())
+    };
+    for companion in beside {
+        if let Some(input) = inputs.iter().find(|input| belongs(&companion, input)) {
+            let whose = if same_file(&companion, &input.path) {
+                "an input of this command".to_string()
+            } else {
+                format!("of the input {}", input.path.display())
+            };
+            let what = format!("{}, {whose}, would belong to the output {}", companion.display(), output.display());
+            return Err(Error::usage(what, "name another output"));
+        }
+    }
+    Ok(())
+}
+
+/// [`refuse_input`] for an output that is a folder, and for all that lies in it.
 ///
 /// # Errors
 /// Those of [`refuse_input`]; [`Error::Io`] when a folder cannot be listed.

@@ -9,25 +9,8 @@ use std::path::{Path, PathBuf};
 
 use gdal::{Dataset, DatasetOptions, GdalOpenFlags};
 
+use crate::sidecars::sidecars;
 use crate::{open, tile_folder, unheard};
-
-/// Ends of names that make a file a part of the image `NAME.EXT`: appended to the name, or in place of the extension.
-const APPENDED: &[&str] = &[".aux.xml", ".ovr", ".msk"];
-const REPLACED: &[&str] = &["tfw", "jgw", "pgw", "wld", "tifw"];
-/// A shapefile is all of these.
-const OF_SHAPES: &[&str] = &["dbf", "shx", "prj", "cpg"];
-
-/// Names of files that belong to an image by their name, whether they are there or not.
-pub fn sidecars(input: &Path) -> Vec<PathBuf> {
-    let appended = APPENDED.iter().map(|end| {
-        let mut name = input.as_os_str().to_owned();
-        name.push(end);
-        PathBuf::from(name)
-    });
-    let shapes = input.extension().is_some_and(|end| end.eq_ignore_ascii_case("shp"));
-    let replaced = REPLACED.iter().chain(if shapes { OF_SHAPES } else { &[] });
-    appended.chain(replaced.map(|end| input.with_extension(end))).filter(|c| c.as_path() != input).collect()
-}
 
 /// Every file that is read when `path` is, but the file itself and what belongs to it by its name: of virtual rasters
 /// their parts, and the parts of these, with what belongs to them.

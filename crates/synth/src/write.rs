@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::scene::{Sample, Scene};
 use super::spec::{BigTiff, Border, Compression, FileLayout, Interleave, Output, SynthSpec};
 use super::truth::Truth;
-use autoref_raster::atomic::Transaction;
+use autoref_raster::atomic::{Transaction, refuse_left_behind};
 use autoref_raster::error::{Error, Result};
 use autoref_raster::protected::refuse_input;
 use autoref_raster::window::{TileGrid, Window};
@@ -73,7 +73,7 @@ pub(crate) fn refuse_existing(path: &Path) -> Result<()> {
     if path.exists() {
         return Err(Error::usage(format!("{}: exists already", path.display()), "use --overwrite or another name"));
     }
-    Ok(())
+    refuse_left_behind(path)
 }
 
 fn check(spec: &SynthSpec) -> Result<()> {

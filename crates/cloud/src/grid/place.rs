@@ -1,6 +1,8 @@
 //! What a grid says of where it lies and of the unit of its heights.
 
-use autoref_raster::crs::Crs;
+use std::path::Path;
+
+use autoref_raster::crs::{Crs, without_heights};
 use autoref_raster::units::{FOOT_M, US_SURVEY_FOOT_M};
 
 use super::Options;
@@ -10,6 +12,8 @@ use crate::io::{self, Header};
 pub(super) struct Place {
     /// As GeoTIFF can hold it.
     pub wkt: Option<String>,
+    /// The same without heights, for values that are none.
+    pub plane: Option<String>,
     /// Of the coordinates, for messages.
     pub unit: String,
     /// Of heights, as a band names it; `None` where nothing says it.
@@ -42,6 +46,9 @@ impl Place {
         // GeoTIFF has keys for two axes, or for two and heights over a geoid.
         let flat = crs.as_ref().and_then(Crs::without_ellipsoidal_height);
         let wkt = flat.or(crs).map(|crs| crs.wkt().to_string());
-        Place { wkt, unit, height_unit }
+        // What PROJ knows it can take the heights from.
+        let plane =
+            wkt.as_deref().map(|wkt| without_heights(Path::new("CRS"), wkt).unwrap_or_else(|_| wkt.to_string()));
+        Place { wkt, plane, unit, height_unit }
     }
 }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use autoref_raster::atomic::Transaction;
-use autoref_raster::{Written, failed_to_write, set_height_unit};
+use autoref_raster::{Written, failed_to_write, set_unit};
 use gdal::raster::{Buffer, GdalType, RasterCreationOptions};
 use gdal::{Dataset, DriverManager, Metadata};
 
@@ -194,17 +194,22 @@ impl Grid<'_> {
             .map_err(failed)?;
         let cell = self.frame.cell_m;
         file.set_geo_transform(&[self.frame.west, cell, 0.0, self.frame.north, 0.0, -cell]).map_err(failed)?;
-        if let Some(wkt) = &self.place.wkt {
+        let is_height =
+            |content: &Content| self.dimension == "z" && matches!(content, Content::Plane(_) | Content::Filled(_));
+        let some_heights = bands.iter().any(|(content, _)| is_height(content));
+        let wkt = if some_heights { &self.place.wkt } else { &self.place.plane };
+        if let Some(wkt) = wkt {
             file.set_projection(wkt).map_err(failed)?;
         }
         file.set_metadata_item("DIMENSION", self.dimension, "").map_err(failed)?;
-        let is_height = self.dimension == "z" && !matches!(bands.first(), Some((Content::Count, _)));
-        if let Some(unit) = self.place.height_unit.filter(|_| is_height) {
-            set_height_unit(path, &file, unit)?;
-        }
         for (index, (content, name)) in bands.iter().enumerate() {
             let mut band = file.rasterband(index + 1).map_err(failed)?;
             band.set_description(name).map_err(failed)?;
+            // A band without a unit would have that of the vertical axis.
+            let other = (some_heights && self.place.wkt != self.place.plane).then_some("unitless");
+            if let Some(unit) = if is_height(content) { self.place.height_unit } else { other } {
+                set_unit(path, &band, unit)?;
+            }
             // All bands of a GeoTIFF share one value for nothing; counts and flags never take it.
             band.set_no_data_value(Some(NODATA)).map_err(failed)?;
             for begin in (0..rows).step_by(self.together) {

@@ -216,7 +216,7 @@ impl CompareJob<'_> {
     ) -> Result<First> {
         const NODATA: f64 = -9999.0;
         let grid = scan.grid;
-        let wkt = crate::labels::without_heights(self.b, couple.b.wkt())?;
+        let wkt = autoref_raster::crs::without_heights(self.b, couple.b.wkt())?;
         let form = Form { grid, wkt: &wkt, bands: 1, nodata: Some(NODATA), predictor: 3, threads: means.threads };
         let dataset = output::create::<f32>(path, &form)?;
         autoref_raster::set_height_unit(path, &dataset, "m")?;
@@ -317,8 +317,8 @@ impl CompareJob<'_> {
             Ok(classes.volume(zone, zone_area_m2, cell_m, mean_error(n, Some(zone as u32))?))
         });
         let volumes: Vec<Volume> = volumes.collect::<Result<_>>()?;
-        let empty: Vec<String> = volumes.iter().filter(|v| v.n == 0).map(|v| v.zone.clone()).collect();
-        let empty = crate::turns::note_of_outside(&empty).into_iter().collect();
+        let empty = volumes.iter().filter(|v| v.n == 0);
+        let empty = crate::turns::notes_of_empty(empty.map(|v| (v.zone.clone(), v.zone_area_m2 > 0.0)));
         let statistics: Vec<Statistics> =
             (0..classes.groups.names.len()).map(|group| classes.statistics(group)).collect();
         let (mean_se_m, effective_n) = mean_error(classes.moments[0].n, None)?.unzip();

@@ -259,6 +259,7 @@ fn side_by_side((west, left): (Window, Vec<f64>), (east, right): (Window, Vec<f6
 /// The bands of a window; NaN where there is nothing.
 fn valid_bands(dataset: &Dataset, source: &Source, part: Window) -> Result<Vec<Vec<f64>>> {
     let size = (part.width as usize, part.height as usize);
+    let part = source.in_file(part);
     let mut planes = all_bands(dataset, source, part)?;
     source.leave_out_nodata(&mut planes);
     for (number, values) in (1..).zip(&mut planes) {
@@ -270,6 +271,7 @@ fn valid_bands(dataset: &Dataset, source: &Source, part: Window) -> Result<Vec<V
             let band = dataset.rasterband(number).map_err(|e| Error::gdal(&source.path, e))?;
             masked::leave_out(&source.path, &band, (part.x as isize, part.y as isize), size, values)?;
         }
+        source.order_rows(values, size.0);
     }
     Ok(planes)
 }

@@ -17,7 +17,10 @@ use super::form::{self, BandForm};
 /// One raster.
 pub struct Source {
     pub path: PathBuf,
+    /// North up, however the file's rows run.
     pub grid: Grid,
+    /// The file's first row is the southernmost.
+    from_south: bool,
     pub bands: usize,
     pub kind: GdalDataType,
     /// What each band says of its values.
@@ -68,11 +71,11 @@ impl Source {
             _ => Error::unsupported(path, "a raster that GCPs place, on no grid", "bring it onto one with gdalwarp"),
         })?;
         let (width, height) = dataset.raster_size();
-        let grid = Grid::new(&GeoTransform(transform), width as u64, height as u64)
-            .filter(|g| g.step_x > 0.0 && g.step_y < 0.0)
-            .ok_or_else(|| {
-                Error::unsupported(path, "a rotated or mirrored geotransform", "bring it north up with gdalwarp")
-            })?;
+        let grid = Grid::new(&GeoTransform(transform), width as u64, height as u64).filter(|g| g.step_x > 0.0);
+        let from_south = grid.is_some_and(|g| g.step_y > 0.0);
+        let grid = grid.map(|g| if from_south { turned_over(&g) } else { g }).ok_or_else(|| {
+            Error::unsupported(path, "a rotated or mirrored geotransform", "bring it north up with gdalwarp")
+        })?;
         let band = dataset.rasterband(1).map_err(|e| Error::gdal(path, e))?;
         autoref_raster::refuse_signed_bytes(path, &band)?;
         let (date, dated_by) = date_of(path, &dataset);
@@ -83,6 +86,7 @@ impl Source {
             palette: form::palette_of(&band),
             path: path.to_path_buf(),
             grid,
+            from_south,
             bands: dataset.raster_count(),
             kind: band.band_type(),
             unit: unit_of(&dataset),
@@ -135,6 +139,21 @@ impl Source {
         let (x, width) = along(window.x, window.width, (mosaic.x0, mosaic.step_x), (g.x0, g.step_x), g.width)?;
         let (y, height) = along(window.y, window.height, (mosaic.y0, mosaic.step_y), (g.y0, g.step_y), g.height)?;
         Some(Window::new(x, y, width, height))
+    }
+
+    /// Where a window of the grid lies in the file.
+    pub(super) fn in_file(&self, part: Window) -> Window {
+        let y = if self.from_south { self.grid.height - part.bottom() } else { part.y };
+        Window { y, ..part }
+    }
+
+    /// Brings the rows of a window from the file's order into the grid's.
+    pub(super) fn order_rows(&self, values: &mut [f64], width: usize) {
+        let height = values.len() / width.max(1);
+        for row in (0..height / 2).filter(|_| self.from_south) {
+            let (above, below) = values.split_at_mut((height - 1 - row) * width);
+            above[row * width..][..width].swap_with_slice(&mut below[..width]);
+        }
     }
 
     /// Of each cell's centre, with the length of a unit of x there, in units of y.
@@ -194,6 +213,11 @@ impl Source {
             (self.grid.step_x, self.grid.step_y) = (mosaic.step_x, mosaic.step_y);
         }
     }
+}
+
+/// The same cells, the rows counted from the other side.
+fn turned_over(grid: &Grid) -> Grid {
+    Grid { y0: grid.y0 + grid.step_y * grid.height as f64, step_y: -grid.step_y, ..*grid }
 }
 
 /// Degrees where the CRS counts in them; of others the length of the unit plays no part.

@@ -80,7 +80,11 @@ pub fn description(
 /// # Errors
 /// [`Error::Usage`] when one of them is there, is to be kept and differs (or is no such file).
 pub fn is_done(image: &Path, mask: &Path, description: &str, existing: Existing) -> Result<bool> {
-    if existing == Existing::Replace || !(image.exists() || mask.exists()) {
+    if existing == Existing::Replace {
+        return Ok(false);
+    }
+    [image, mask].into_iter().try_for_each(atomic::refuse_left_behind)?;
+    if !(image.exists() || mask.exists()) {
         return Ok(false);
     }
     let said = |path: &Path| Dataset::open(path).ok()?.metadata_item("TIFFTAG_IMAGEDESCRIPTION", "");

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use autoref_raster::atomic::Existing;
+use autoref_raster::crs::without_heights;
 use autoref_raster::window::Window;
 use autoref_raster::{RasterSource, Written, atomic};
 use autoref_stream::profile::Profile;
@@ -71,7 +72,8 @@ fn write(path: &Path, source: &dyn RasterSource, classifier: &Classifier, unit: 
         file.set_geo_transform(&transform.0).map_err(failed)?;
     }
     if let Some(wkt) = &info.crs_wkt {
-        file.set_spatial_ref(&SpatialRef::from_wkt(wkt).map_err(failed)?).map_err(failed)?;
+        let plane = without_heights(path, wkt)?;
+        file.set_spatial_ref(&SpatialRef::from_wkt(&plane).map_err(failed)?).map_err(failed)?;
     }
     let mut band = file.rasterband(1).map_err(failed)?;
     band.set_no_data_value(Some(f64::NAN)).map_err(failed)?;

@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 use autoref_raster::Error;
 use autoref_raster::atomic::refuse_read_only;
 use autoref_raster::protected::{is_input, protect, refuse_input, same_file};
-use autoref_raster::referred::{inside_name, sidecars};
+use autoref_raster::referred::inside_name;
+use autoref_raster::sidecars::sidecars;
 use clap::ArgMatches;
 
 /// Arguments whose value is a file or folder that the command writes.

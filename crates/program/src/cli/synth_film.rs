@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::bail;
 use autoref_film::drawn::{FilmGround, FilmScene, FilmSpec, write_film};
 use autoref_film::load_camera;
+use autoref_raster::atomic::refuse_left_behind;
 use autoref_raster::output_folder::OutputFolder;
 use autoref_synth::photographs;
 use clap::Args;
@@ -61,6 +62,9 @@ pub fn run(args: &SynthFilmArgs) -> anyhow::Result<()> {
     let path_of = |seed: u64| args.output.join(format!("{}-{seed}.tif", camera.name));
     if let Some(path) = seeds().map(path_of).find(|path| path.exists() && !args.overwrite) {
         bail!("{}: exists already; use --overwrite or another folder", path.display());
+    }
+    if !args.overwrite {
+        seeds().try_for_each(|seed| refuse_left_behind(&path_of(seed)))?;
     }
     for seed in seeds() {
         let path = path_of(seed);

@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use autoref_flight::render::{Effects, FrameRenderer, Landscape, Plan};
 use autoref_flight::{Camera, Parameter};
+use autoref_raster::atomic::refuse_left_behind;
 use autoref_raster::output_folder::OutputFolder;
 
 use super::flight::ortho::Dem;
@@ -171,9 +172,11 @@ pub fn run(args: &Args) -> Result<()> {
     let frame_path = |frame: &FrameRenderer<'_>| folder.join(format!("{}.tif", frame.exposure.name));
     let beside = files::BESIDE.iter().map(|name| args.output.join(name));
     let model = args.dem.is_none().then(|| args.output.join(files::MODEL));
-    let mut outputs = frames.iter().map(frame_path).chain(beside).chain(model);
-    if let Some(path) = outputs.find(|path| path.exists() && !args.overwrite) {
-        bail!("{}: exists already; use --overwrite or another folder", path.display());
+    for path in frames.iter().map(frame_path).chain(beside).chain(model).filter(|_| !args.overwrite) {
+        if path.exists() {
+            bail!("{}: exists already; use --overwrite or another folder", path.display());
+        }
+        refuse_left_behind(&path)?;
     }
     for frame in &frames {
         let path = frame_path(frame);

@@ -10,8 +10,10 @@
 
 mod grids;
 mod names;
+mod plane;
 mod transform;
 
+pub use plane::without_heights;
 pub use transform::{Accuracy, Coordinate, DEFAULT_DATUM_ACCURACY_M, Way};
 
 use std::path::Path;

@@ -13,7 +13,7 @@ use anyhow::{Result, bail};
 use autoref_elevation::grid::Grid;
 use autoref_elevation::output;
 use autoref_raster::atomic::Existing;
-use autoref_raster::crs::Crs;
+use autoref_raster::crs::{Crs, without_heights};
 use autoref_raster::error::Error as RasterError;
 use autoref_raster::refuse_signed_bytes;
 use gdal::raster::{GdalDataType, RasterBand};
@@ -108,7 +108,7 @@ pub fn run(args: &OrthorectifyArgs) -> Result<ExitCode> {
         tile_px: resources.tile_px.unwrap_or(1024),
         budget_bytes,
     };
-    let wkt = dem.crs.as_ref().map_or("", Crs::wkt);
+    let wkt = &without_heights(&out, dem.crs.as_ref().map_or("", Crs::wkt))?;
     let band = frame.rasterband(1).map_err(|e| RasterError::gdal(&args.frame, e))?;
     let first = kind_of(&args.frame, &band)?;
     drop(frame);
