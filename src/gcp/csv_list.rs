@@ -12,7 +12,7 @@ use crate::gcp::headerless::Labels;
 use crate::gcp::raw::{ColumnOrder, RawList};
 use crate::gcp::text::{self, Line, SEPARATORS, refuse_open_quote, split};
 use crate::gcp::titles::{EASTINGS, LONGITUDES, XS, find, tidy};
-use crate::gcp::{headerless, titled, wkt};
+use crate::gcp::{headerless, marked_rows, titled, wkt};
 use autoref_raster::error::{Error, Result};
 
 pub(super) fn parse(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
@@ -29,13 +29,22 @@ pub(super) fn parse_pix4d(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
 }
 
 fn parse_with(path: &Path, lines: &[Line<'_>], labels: Labels) -> Result<RawList> {
-    let Some(first) = lines.iter().find(|line| !line.is_comment()) else {
-        return Err(Error::format(
-            path,
-            "row 1",
-            "the file holds no points; a header and one line for each are expected",
-        ));
+    let told = marked_rows::told(lines);
+    let none = "the file holds no points; a header and one line for each are expected";
+    let no_points = || {
+        let what = told.remarks.as_ref().map_or(none.to_owned(), |rows| format!("{none}: {rows}"));
+        Error::format(path, "row 1", what)
     };
+    let mut list = parse_told(path, &told.lines, labels, &no_points)?;
+    if list.points.is_empty() && told.remarks.is_some() {
+        return Err(no_points());
+    }
+    list.notes.extend(told.note.iter().map(|what| format!("{}: {what}", path.display())));
+    Ok(list)
+}
+
+fn parse_told(path: &Path, lines: &[Line<'_>], labels: Labels, no_points: &dyn Fn() -> Error) -> Result<RawList> {
+    let Some(first) = lines.iter().find(|line| !line.is_comment()) else { return Err(no_points()) };
     match titled::parse(path, lines).or_else(|| wkt::parse(path, lines)) {
         Some(list) => list,
         None if has_numbers(first.text) => headerless::parse(path, lines, labels),

@@ -35,7 +35,7 @@ fn table(path: &Path, lines: &[Line<'_>]) -> Result<RawList> {
         titles.split(',').map(|title| if title.trim() == "PointNo" { "record" } else { title }).collect();
     let mut table = vec![(lines[at].row, named.join(","))];
     table.extend(rows.map(|line| (line.row, line.text.trim_end_matches(';').replace(", \"", ",\""))));
-    let table: Vec<Line<'_>> = table.iter().map(|(row, text)| Line { row: *row, text }).collect();
+    let table: Vec<Line<'_>> = table.iter().map(|(row, text)| Line { row: *row, text, is_point: false }).collect();
     csv_list::parse(path, &table)
 }
 

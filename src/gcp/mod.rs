@@ -30,6 +30,7 @@ mod image_crs;
 mod instruments;
 mod kof;
 mod list_format;
+mod marked_rows;
 mod marks;
 mod metres;
 pub mod odm;

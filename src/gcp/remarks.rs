@@ -141,7 +141,7 @@ mod tests {
 
     #[test]
     fn two_systems_are_none() {
-        let lines = |texts: [&'static str; 2]| texts.map(|text| Line { row: 1, text });
+        let lines = |texts: [&'static str; 2]| texts.map(|text| Line { row: 1, text, is_point: false });
         let one = lines(["# EPSG:25832", "# ETRS89 / UTM zone 32N, heights EPSG:5941"]);
         let (crs, note) = system(one.iter()).expect("one").expect("named");
         assert_eq!(crs.label(), "EPSG:25832");

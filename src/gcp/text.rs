@@ -85,6 +85,8 @@ pub(super) struct Line<'a> {
     /// Counted from 1, blank lines and comments included.
     pub row: usize,
     pub text: &'a str,
+    /// A point whose name begins as remarks do ([`super::marked_rows`]).
+    pub is_point: bool,
 }
 
 impl Line<'_> {
@@ -99,7 +101,7 @@ impl Line<'_> {
         let tells_excel = || {
             self.text.chars().count() == 5 && self.text.get(..4).is_some_and(|word| word.eq_ignore_ascii_case("sep="))
         };
-        self.text.starts_with(['#', '!']) || self.text.starts_with("//") || tells_excel()
+        !self.is_point && (self.text.starts_with(['#', '!']) || self.text.starts_with("//") || tells_excel())
     }
 }
 
@@ -114,7 +116,7 @@ pub(super) fn lines(text: &str) -> Vec<Line<'_>> {
         let line = text[start..ends[row + last]].trim_matches('\u{1a}').trim();
         // Excel pads empty rows with separators.
         if !line.trim_matches([';', ',', '\t', '|', ' ', '"', '\n']).is_empty() {
-            found.push(Line { row: row + 1, text: line });
+            found.push(Line { row: row + 1, text: line, is_point: false });
         }
         start = ends[row + last] + 1;
         row += last + 1;

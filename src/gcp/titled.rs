@@ -214,7 +214,7 @@ mod tests {
 
     #[test]
     fn a_row_whose_name_reads_as_titles_is_no_header() {
-        let is_header = |text| is_header(Line { row: 1, text });
+        let is_header = |text| is_header(Line { row: 1, text, is_point: false });
         assert!(!is_header("n é\t500000.25\t4649000.5\t100.5"));
         assert!(!is_header("N E 500000 4649000"));
         assert!(is_header("name\tn\té\t2019\t2020"));

@@ -77,7 +77,7 @@ fn apart(
         cells.splice(at..=at, own);
         table.push((line.row, row_of(&cells)));
     }
-    let lines: Vec<Line<'_>> = table.iter().map(|(row, text)| Line { row: *row, text }).collect();
+    let lines: Vec<Line<'_>> = table.iter().map(|(row, text)| Line { row: *row, text, is_point: false }).collect();
     let mut list = titled::parse(path, &lines).expect("its titles name both coordinates")?;
     list.order = ColumnOrder::Ruled;
     list.may_be_degrees = true;

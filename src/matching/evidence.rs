@@ -91,10 +91,11 @@ pub(super) fn evidence_of(
     let mut hit: Vec<usize> = Vec::new();
     // Of each prediction, how far off it may be against one mark's error, and whether it was hit.
     let mut told_by: Vec<(f64, bool)> = Vec::with_capacity(counted.len());
-    for &Counted { index, nearest_px } in counted {
+    for &Counted { index, nearest_px, area_share } in counted {
         let prediction = &predictions.of[index];
         let radius = prediction.radius_px(level_px);
-        let by_chance = -(-prediction.density(field) * std::f64::consts::PI * radius * radius).exp_m1();
+        let area_px = std::f64::consts::PI * radius * radius * area_share;
+        let by_chance = -(-prediction.density(field) * area_px).exp_m1();
         // Nor is much said by a neighbour where every candidate has one.
         probabilities.push(by_chance.max(field.company(nearest_px).unwrap_or(0.0)));
         // One mark is evidence for one GCP only.
@@ -272,6 +273,26 @@ mod tests {
         let (once, twice) = (of(&list(false), (0, 1)), of(&list(true), (0, 2)));
         assert_eq!((once.hits, once.gcps_in_image), (4, 4));
         assert_eq!(once, twice);
+    }
+
+    /// Whichever of the two comes first in the list.
+    #[test]
+    fn of_two_surveys_of_a_point_the_one_with_a_mark_speaks() {
+        let pixel = |x: f64, y: f64| PixelPoint { x, y };
+        let marks = [(100.0, 100.0), (900.0, 150.0), (400.0, 700.0), (700.0, 500.0)];
+        let points = marks.iter().map(|&(x, y)| pixel(x, y)).collect();
+        let field = Field::new(points, Some((1000.0, 800.0))).with_sizes(vec![13.0; 4]);
+        // The survey that has the marks, and one that is 12 px off.
+        let list = |copies: [f64; 2]| -> Vec<MapPoint> {
+            let all = marks.iter().flat_map(|&(x, y)| copies.map(|d| (x + d, y)));
+            all.map(|(x, y)| MapPoint { easting: x, northing: -y }).collect()
+        };
+        let of = |gcps: &[MapPoint], pair| {
+            pair_evidence(&field, gcps, pair, [pixel(100.0, 100.0), pixel(900.0, 150.0)], 1.0, 3.0).expect("two points")
+        };
+        let (first, last) = (of(&list([0.0, 12.0]), (0, 2)), of(&list([12.0, 0.0]), (1, 3)));
+        assert_eq!((first.hits, last.hits, last.gcps_in_image), (4, 4, 4));
+        assert!((first.log10_false_alarms - last.log10_false_alarms).abs() < 1e-9, "{first:?}, {last:?}");
     }
 
     #[test]

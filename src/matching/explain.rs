@@ -1,19 +1,21 @@
 //! Why nothing is believed, in plain words.
 
-use crate::matching::{Effort, Evidence, Pattern, Priors};
+use crate::gcp::Gcp;
+use crate::matching::{Effort, Evidence, OfImage, Pattern, Priors};
+use autoref_raster::coords::MapPoint;
 use autoref_raster::words::counted;
 
-/// Plain words on why nothing is believed.
+/// Plain words on why nothing is believed; `control` are the points of the list that take part, by index.
 pub(super) fn explain(
     candidates: usize,
-    control: &[usize],
+    (gcps, control): (&[Gcp], &[usize]),
     best: Option<Pattern>,
     runner_up: Option<Pattern>,
     (effort, limit): (Effort, f64),
-    priors: &Priors,
+    known: (&Priors, OfImage),
 ) -> Evidence {
     let mut advice = Vec::new();
-    let open = open_questions(priors);
+    let open = open_questions(known);
     let reason = if candidates < 3 {
         advice.push(
             "check that the profile fits the paint: try another --profile, or learn one with `sample`".to_string(),
@@ -24,16 +26,13 @@ pub(super) fn explain(
         format!("{} in the list; a pattern needs at least 3", counted(control.len(), "control point", "control points"))
     } else if let Some(best) = &best {
         let beaten = best.log10_false_alarms <= limit;
-        if beaten {
-            let mut help = open.clone();
-            help.push("only the points that can be in the image (--names), each of them once");
-            advice.push(format!("the list or the image shows a figure that repeats: give {}", help.join(", or ")));
-        }
+        let rival = runner_up.as_ref().filter(|_| beaten);
+        advice.extend(rival.map(|rival| told_apart_by(best, rival, (gcps, control), known)));
         let allowed = match beaten {
             true => String::new(),
             false => format!(", where at most {} may be (--max-false-alarms)", scientific(limit)),
         };
-        let rival = runner_up.as_ref().filter(|_| beaten).map_or(String::new(), |other| {
+        let rival = rival.map_or(String::new(), |other| {
             format!(
                 ", but another one is almost as good ({} GCPs, {})",
                 other.pairs.len(),
@@ -67,14 +66,117 @@ pub(super) fn explain(
     Evidence { reason, advice, best, runner_up, effort, diagnoses: Vec::new() }
 }
 
-/// What the search has not been told and would be helped by.
-fn open_questions(priors: &Priors) -> Vec<&'static str> {
+/// Scales and directions that are told apart by what people know of an image.
+const OTHER_SCALE: f64 = 1.25;
+const TURNED_DEG: f64 = 20.0;
+
+const SCALE: &str = "the ground sample distance (--gsd)";
+const NORTH: &str = "the direction of north (--north-up)";
+
+/// What the search has not been told, by the user or by the image, and would be helped by.
+fn open_questions((priors, of_image): (&Priors, OfImage)) -> Vec<&'static str> {
+    let scale = (is_scale_open(priors) && !of_image.scale).then_some(SCALE);
+    let north = (priors.rotation_deg.is_none() && !of_image.north).then_some(NORTH);
+    scale.into_iter().chain(north).collect()
+}
+
+fn is_scale_open(priors: &Priors) -> bool {
     /// A scale known less well was guessed.
     const KNOWN: f64 = 2.0;
-    let scale = priors.gsd_m_per_px.is_none_or(|(least, most)| most > KNOWN * least);
-    let scale = scale.then_some("the ground sample distance (--gsd)");
-    let north = priors.rotation_deg.is_none().then_some("the direction of north (--north-up)");
-    scale.into_iter().chain(north).collect()
+    priors.gsd_m_per_px.is_none_or(|(least, most)| most > KNOWN * least)
+}
+
+/// What would tell a pattern from one that is almost as good: only what makes a difference between these two.
+fn told_apart_by(
+    best: &Pattern,
+    rival: &Pattern,
+    (gcps, control): (&[Gcp], &[usize]),
+    (priors, of_image): (&Priors, OfImage),
+) -> String {
+    if let Some((one, other)) = listed_twice(best, rival, gcps) {
+        let (one, other) = (&gcps[one], &gcps[other]);
+        return format!(
+            "points stand twice in the list, such as `{}` and `{}`, {:.2} m apart: give each of them once, by --names or \
+             in a list without the others",
+            one.name,
+            other.name,
+            distance_m(one.position(), other.position())
+        );
+    }
+    let (one, other) = (&best.similarity, &rival.similarity);
+    let ratio = one.scale_m_per_px() / other.scale_m_per_px();
+    let turned = (one.rotation_deg() - other.rotation_deg()).rem_euclid(360.0);
+    // Neither tells a figure from itself when it is moved.
+    let is_moved = repeats_when_moved(best, (gcps, control));
+    let is_open = is_scale_open(priors) && !of_image.scale && !is_moved;
+    let scale = (is_open && ratio.max(1.0 / ratio) > OTHER_SCALE).then_some(SCALE);
+    // The direction of the image's own georeference is not taken for granted, so that saying it helps.
+    let is_open = priors.rotation_deg.is_none() && !is_moved;
+    let north = (is_open && turned.min(360.0 - turned) > TURNED_DEG).then_some(NORTH);
+    // Of the points of the one the other must not have half: marks may be covered.
+    let joined = |pattern: &Pattern, gcp: usize| pattern.pairs.iter().any(|pair| pair.1 == gcp);
+    let shared = rival.pairs.iter().filter(|pair| joined(best, pair.1)).count();
+    let elsewhere = best.gcps_in_image < control.len() && best.pairs.len() > 2 * shared;
+    let names = elsewhere.then_some("only the points that can be in the image (--names)");
+    let help: Vec<&str> = scale.into_iter().chain(north).chain(names).collect();
+    let is_mark_of_best = |pair: &&(usize, usize)| best.pairs.iter().any(|own| own.0 == pair.0);
+    let same_marks = rival.pairs.iter().filter(is_mark_of_best).count();
+    if help.is_empty() && 2 * same_marks < rival.pairs.len() {
+        return "the image shows a figure that repeats, two sets of marks that the points fit: leave one of them out (a \
+                stricter --profile, --mark-size), or give more points"
+            .to_string();
+    }
+    if help.is_empty() {
+        return "the points make a figure that repeats, as a regular grid does: it lies on itself when it is moved or \
+                turned, so that marks alone cannot tell where they are. Number the targets (coded ones), or lay half of \
+                the points or more out off the figure (`plan` looks at a list before the flight)"
+            .to_string();
+    }
+    format!("the list or the image shows a figure that repeats: give {}", help.join(", or "))
+}
+
+/// Whether half of the pattern's points lie on points of the list when all are moved by some length.
+fn repeats_when_moved(best: &Pattern, (gcps, control): (&[Gcp], &[usize])) -> bool {
+    /// Points against points; of longer lists it is not asked.
+    const MOST: usize = 4_000;
+    const NOISE: f64 = 6.0;
+    let off_m = NOISE * best.noise_px * best.similarity.scale_m_per_px();
+    let own: Vec<MapPoint> = best.pairs.iter().map(|pair| gcps[pair.1].position()).collect();
+    let all: Vec<MapPoint> = control.iter().map(|&k| gcps[k].position()).collect();
+    if own.len() * all.len() > MOST {
+        return false;
+    }
+    let by = |from: MapPoint, to: MapPoint| {
+        let moved = |p: &MapPoint| MapPoint {
+            easting: p.easting + to.easting - from.easting,
+            northing: p.northing + to.northing - from.northing,
+        };
+        let lies_on_one = |p: &&MapPoint| all.iter().any(|q| distance_m(moved(p), *q) < off_m);
+        distance_m(from, to) > off_m && 2 * own.iter().filter(lies_on_one).count() >= own.len()
+    };
+    own.iter().any(|from| all.iter().any(|to| by(*from, *to)))
+}
+
+fn distance_m(p: MapPoint, q: MapPoint) -> f64 {
+    (p.easting - q.easting).hypot(p.northing - q.northing)
+}
+
+/// Two points of the list that are one place, where a rival is the same marks on the twins of the same points: most of
+/// what it joins otherwise is not joined by the pattern, and lies nearer to the pattern's point than to its others.
+fn listed_twice(best: &Pattern, rival: &Pattern, gcps: &[Gcp]) -> Option<(usize, usize)> {
+    let of_rival = |candidate: usize| rival.pairs.iter().find(|pair| pair.0 == candidate).map(|pair| pair.1);
+    let same_marks: Vec<(usize, usize)> =
+        best.pairs.iter().filter_map(|&(candidate, gcp)| Some((gcp, of_rival(candidate)?))).collect();
+    let renamed: Vec<(usize, usize)> = same_marks.iter().copied().filter(|(gcp, other)| gcp != other).collect();
+    let joins = |pattern: &Pattern, gcp: usize| pattern.pairs.iter().any(|pair| pair.1 == gcp);
+    let is_twin = |&&(gcp, other): &&(usize, usize)| {
+        let from = |k: usize| distance_m(gcps[other].position(), gcps[k].position());
+        let is_nearest = best.pairs.iter().all(|pair| pair.1 == gcp || from(pair.1) > from(gcp));
+        is_nearest && !joins(best, other) && !joins(rival, gcp)
+    };
+    let twins: Vec<&(usize, usize)> = renamed.iter().filter(is_twin).collect();
+    let most = |part: usize, whole: usize| part > 0 && 5 * part >= 4 * whole;
+    (2 * same_marks.len() >= best.pairs.len() && most(twins.len(), renamed.len())).then(|| *twins[0])
 }
 
 /// 10^x for people.

@@ -85,6 +85,14 @@ pub struct Priors {
     pub image_size_px: Option<(f64, f64)>,
 }
 
+/// What the image's own georeference or resolution says, whether or not it is believed: nobody needs to be asked for
+/// it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OfImage {
+    pub scale: bool,
+    pub north: bool,
+}
+
 /// Smallest and largest side of anything that is put out as a mark, metres.
 const MARK_SIDE_M: (f64, f64) = (0.01, 10.0);
 

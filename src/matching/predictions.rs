@@ -49,6 +49,9 @@ pub(super) struct Counted {
     pub index: usize,
     /// To the nearest place that counted before it.
     pub nearest_px: f64,
+    /// The area in which a mark is a hit, over that of the prediction's own circle: more where one of several points of
+    /// one place may be the mark.
+    pub area_share: f64,
 }
 
 impl Predictions {
@@ -74,15 +77,48 @@ impl Predictions {
     }
 
     /// The predictions that count at a tolerance: of circles that touch, and of places that one mark covers, the first.
-    /// A point that was surveyed twice is no second witness, nor is a mark that was found in two pieces.
+    /// A point that was surveyed twice is no second witness, nor is a mark that was found in two pieces. Where two
+    /// surveys of a point differ, the one that has a mark speaks for both, and chance has both circles.
     pub fn counted(&self, field: &Field, level_px: f64) -> Vec<Counted> {
         let mut told = Told::about(self.ends, level_px, field.usual_place_px(), self.of.len());
-        let count = |(index, prediction): (usize, &Prediction)| {
-            let nearest_px = told.take(prediction.place, prediction.radius_px(level_px))?;
-            Some(Counted { index, nearest_px })
-        };
-        self.of.iter().enumerate().filter_map(count).collect()
+        let mut counted: Vec<Counted> = Vec::with_capacity(self.of.len());
+        for (index, prediction) in self.of.iter().enumerate() {
+            match told.take(prediction.place, prediction.radius_px(level_px)) {
+                Ok(nearest_px) => counted.push(Counted { index, nearest_px, area_share: 1.0 }),
+                // The ends of the hypothesis have their marks.
+                Err(Blocked::OnePlace(told)) if told >= self.ends.len() => {
+                    self.take_twin(&mut counted[told - self.ends.len()], index, level_px);
+                }
+                Err(_) => {}
+            }
+        }
+        counted
     }
+
+    /// Another point of a place that counts. One so near that its circle is the same tells nothing new.
+    fn take_twin(&self, counted: &mut Counted, twin: usize, level_px: f64) {
+        /// Of the radius.
+        const SAME_CIRCLE: f64 = 0.5;
+        let (first, other) = (&self.of[counted.index], &self.of[twin]);
+        let apart_px = (first.place.x - other.place.x).hypot(first.place.y - other.place.y);
+        let radius_px = other.radius_px(level_px);
+        if apart_px <= SAME_CIRCLE * radius_px {
+            return;
+        }
+        // What the second circle adds to the first: all of it at most, and near the first 2/π of the distance in radii.
+        counted.area_share += (std::f64::consts::FRAC_2_PI * apart_px / radius_px).min(1.0);
+        if first.hit_at(level_px).is_none() && other.hit_at(level_px).is_some() {
+            counted.index = twin;
+        }
+    }
+}
+
+/// Why a place does not count.
+enum Blocked {
+    /// One mark covers it and the place of this number that was told before.
+    OnePlace(usize),
+    /// Its circle touches another.
+    Touching,
 }
 
 /// Where something was predicted already, and how closely.
@@ -111,16 +147,16 @@ impl Told {
         self.radius_px.push(radius_px);
     }
 
-    /// Takes in a place that counts, and says how far the nearest before it is; `None` where it does not count.
-    fn take(&mut self, place: PixelPoint, radius_px: f64) -> Option<f64> {
+    /// Takes in a place that counts, and says how far the nearest before it is; else why it does not count.
+    fn take(&mut self, place: PixelPoint, radius_px: f64) -> Result<f64, Blocked> {
         let nearest_px = self.nearest_px(place, radius_px)?;
         self.push(place, radius_px);
-        Some(nearest_px)
+        Ok(nearest_px)
     }
 
-    /// How far the nearest of them is from a place; `None` where one's circle touches that of the place, or one mark
-    /// covers both.
-    fn nearest_px(&self, place: PixelPoint, radius_px: f64) -> Option<f64> {
+    /// How far the nearest of them is from a place, where none's circle touches that of the place and no mark covers
+    /// both.
+    fn nearest_px(&self, place: PixelPoint, radius_px: f64) -> Result<f64, Blocked> {
         let surely_one = self.usual_place_px * self.usual_place_px * (1.0 - 1e-9);
         let mut nearest = f64::INFINITY;
         let (mut end, all) = (self.x.len(), (&self.x[..], &self.y[..], &self.radius_px[..]));
@@ -128,8 +164,9 @@ impl Told {
         // prediction is held against every other.
         while end > 0 {
             let part = end.saturating_sub(Self::TOGETHER)..end;
-            let (xs, ys, radii) = (&all.0[part.clone()], &all.1[part.clone()], &all.2[part.clone()]);
-            end = part.start;
+            let start = part.start;
+            let (xs, ys, radii) = (&all.0[part.clone()], &all.1[part.clone()], &all.2[part]);
+            end = start;
             let (mut least, mut gap) = (f64::INFINITY, f64::INFINITY);
             for i in 0..xs.len() {
                 let (x, y, reach) = (xs[i] - place.x, ys[i] - place.y, radii[i] + radius_px);
@@ -139,12 +176,15 @@ impl Told {
                 gap = if beyond < gap { beyond } else { gap };
             }
             if gap < 0.0 || least < surely_one {
-                return None;
+                let square = |i: &usize| (xs[*i] - place.x).powi(2) + (ys[*i] - place.y).powi(2);
+                let nearest = (0..xs.len()).filter(|_| least < surely_one);
+                let nearest = nearest.min_by(|i, j| square(i).total_cmp(&square(j)));
+                return Err(nearest.map_or(Blocked::Touching, |i| Blocked::OnePlace(start + i)));
             }
             nearest = if least < nearest { least } else { nearest };
         }
         let nearest = nearest.sqrt();
-        (nearest >= self.usual_place_px).then_some(nearest)
+        if nearest >= self.usual_place_px { Ok(nearest) } else { Err(Blocked::Touching) }
     }
 }
 

@@ -17,7 +17,7 @@ use crate::matching::repetition::Repetition;
 use crate::matching::search::{Hypothesis, LONG, LOOKS_OF_ONE, REFINED_PER_PAIR, Search, Tried};
 use crate::matching::waiting::Waiting;
 use crate::matching::{
-    Effort, Labels, MatchOutcome, Matcher, NamesAgree, Pattern, Priors, SearchEnd, Solved, TimeLimit,
+    Effort, Labels, MatchOutcome, Matcher, NamesAgree, OfImage, Pattern, Priors, SearchEnd, Solved, TimeLimit,
 };
 use autoref_raster::coords::MapPoint;
 
@@ -66,6 +66,8 @@ pub struct RobustMatcher {
     /// How often the caller may call with other priors: each is a chance for a false alarm, and counted.
     pub tries: f64,
     pub time_limit: TimeLimit,
+    /// What advice does not ask for.
+    pub of_image: OfImage,
 }
 
 impl Default for RobustMatcher {
@@ -75,6 +77,7 @@ impl Default for RobustMatcher {
             budget_hypotheses: 100_000_000,
             tries: 1.0,
             time_limit: TimeLimit::default(),
+            of_image: OfImage::default(),
         }
     }
 }
@@ -85,7 +88,7 @@ impl Matcher for RobustMatcher {
         let all: Vec<&Candidate> = candidates.iter().collect();
         let labels = Labels::new(gcps);
         if Names::new(&all, &labels, &control).is_none() {
-            return self.by_places(candidates, (&control, &positions), priors);
+            return self.by_places(candidates, (gcps, &control, &positions), priors);
         }
         // With the names and without them: two chances for a false alarm.
         let twice = RobustMatcher { tries: 2.0 * self.tries, ..self.clone() };
@@ -93,11 +96,11 @@ impl Matcher for RobustMatcher {
         let names = found.names;
         let limit = self.max_false_alarms.log10() - self.tries.log10();
         if names.is_some_and(|names| names.log10_false_alarms <= limit)
-            && let solved @ MatchOutcome::Solved(_) = twice.decide(found, candidates.len(), &control, priors)
+            && let solved @ MatchOutcome::Solved(_) = twice.decide(found, candidates.len(), (gcps, &control), priors)
         {
             return solved;
         }
-        let mut outcome = twice.by_places(candidates, (&control, &positions), priors);
+        let mut outcome = twice.by_places(candidates, (gcps, &control, &positions), priors);
         if let MatchOutcome::NoMatch(evidence) = &mut outcome {
             evidence.advice.push(unheeded(names));
         }
@@ -136,7 +139,7 @@ impl RobustMatcher {
     fn by_places(
         &self,
         candidates: &[Candidate],
-        (control, positions): (&[usize], &[MapPoint]),
+        (gcps, control, positions): (&[Gcp], &[usize], &[MapPoint]),
         priors: &Priors,
     ) -> MatchOutcome {
         let repetition = Repetition::of(positions, priors);
@@ -150,7 +153,7 @@ impl RobustMatcher {
         let budget_hypotheses = self.budget_hypotheses * percent / 100;
         let matcher = RobustMatcher { budget_hypotheses, ..self.clone() };
         let found = matcher.search_guided(candidates, positions, priors, None);
-        let mut outcome = matcher.decide(found, candidates.len(), control, priors);
+        let mut outcome = matcher.decide(found, candidates.len(), (gcps, control), priors);
         if let (MatchOutcome::NoMatch(evidence), Some(repetition)) = (&mut outcome, repetition) {
             evidence.advice.insert(0, repetition.advice());
         }
@@ -175,7 +178,13 @@ impl RobustMatcher {
     }
 
     /// Believes the best pattern, or says why not.
-    pub(super) fn decide(&self, found: Found, candidates: usize, control: &[usize], priors: &Priors) -> MatchOutcome {
+    pub(super) fn decide(
+        &self,
+        found: Found,
+        candidates: usize,
+        (gcps, control): (&[Gcp], &[usize]),
+        priors: &Priors,
+    ) -> MatchOutcome {
         let restore = |pattern: Pattern| Pattern {
             pairs: pattern.pairs.iter().map(|&(c, g)| (c, control[g])).collect(),
             ..pattern
@@ -193,7 +202,8 @@ impl RobustMatcher {
                 names: found.names,
             }));
         }
-        MatchOutcome::NoMatch(Box::new(explain(candidates, control, best, runner_up, (found.effort, limit), priors)))
+        let (effort, known) = ((found.effort, limit), (priors, self.of_image));
+        MatchOutcome::NoMatch(Box::new(explain(candidates, (gcps, control), best, runner_up, effort, known)))
     }
 }
 

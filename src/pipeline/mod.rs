@@ -36,6 +36,7 @@ pub mod colour_search;
 pub mod georeference;
 pub mod heights;
 pub mod marks;
+pub mod other_size;
 mod pace;
 pub mod paint;
 pub mod picture;

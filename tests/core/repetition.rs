@@ -5,7 +5,7 @@ use crate::common::{Random, bare_candidate, turned};
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::Gcp;
-use autoref_stream::matching::{Evidence, MatchOutcome, Matcher, Priors, RobustMatcher};
+use autoref_stream::matching::{Evidence, MatchOutcome, Matcher, OfImage, Priors, RobustMatcher};
 
 const SIZE: (f64, f64) = (8000.0, 6000.0);
 const GSD: f64 = 0.03;
@@ -81,6 +81,58 @@ fn a_figure_that_the_image_shows_twice() {
             repeats(&format!("trial {trial}, {} and 6 marks", 7 - first), find(&candidates, &gcps));
         }
     }
+}
+
+/// Both surveys of a list lie within a mark's place of each other: neither speaks for the other's places.
+#[test]
+fn points_that_are_listed_twice_are_named() {
+    let mut random = Random::new(46);
+    for trial in 0..10 {
+        let truth = turned(&mut random, GSD);
+        let figure = figure(&mut random, 12);
+        let placed: Vec<MapPoint> = figure.iter().map(|p| truth.apply(*p)).collect();
+        let again = placed.iter().map(|m| MapPoint { easting: m.easting + 0.3, northing: m.northing });
+        let gcps = match trial % 2 {
+            0 => list(placed.iter().copied().chain(again)),
+            _ => list(again.chain(placed.iter().copied())),
+        };
+        let evidence = refused("listed twice", find(&marks(&mut random, &figure, 3), &gcps));
+        let best = evidence.best.expect("either survey");
+        assert!(best.log10_false_alarms < -10.0, "trial {trial}: {}", evidence.reason);
+        let advice = &evidence.advice[0];
+        assert!(advice.contains("stand twice") && advice.contains("`P0` and `P12`"), "trial {trial}: {advice}");
+        assert!(advice.contains("0.30 m apart"), "{advice}");
+    }
+}
+
+/// Of a grid neither the scale nor a list of the points in the image tells anything.
+#[test]
+fn of_a_grid_only_what_helps_is_named() {
+    let mut random = Random::new(48);
+    let truth = turned(&mut random, GSD);
+    let grid: Vec<PixelPoint> = (0..16)
+        .map(|i| PixelPoint { x: 1500.0 + 1200.0 * f64::from(i % 4), y: 700.0 + 1200.0 * f64::from(i / 4) })
+        .collect();
+    let gcps = list(grid.iter().map(|p| truth.apply(*p)));
+    let seen = marks(&mut random, &grid[..12], 0);
+    let rotation_deg = Some((truth.rotation_deg(), 15.0));
+    let priors = Priors { gsd_m_per_px: None, rotation_deg, image_size_px: Some((8000.0, 4500.0)) };
+    let outcome = RobustMatcher::default().find(&seen, &gcps, &priors);
+    repeats("grid", outcome.clone());
+    let advice = refused("grid", outcome).advice.join("\n");
+    assert!(advice.contains("`plan`") && !advice.contains("--gsd") && !advice.contains("--names"), "{advice}");
+    assert!(!advice.contains("--north-up"), "{advice}");
+    // What the image says of itself nobody is asked for.
+    let of_image = OfImage { scale: true, north: true };
+    let matcher = RobustMatcher { of_image, ..RobustMatcher::default() };
+    let elsewhere = list(figure(&mut random, 12).iter().map(|p| truth.apply(*p)));
+    let open = Priors { image_size_px: Some(SIZE), ..Priors::default() };
+    let said = |matcher: RobustMatcher| {
+        let outcome = matcher.find(&seen, &elsewhere, &open);
+        refused("other points", outcome).advice.join("\n")
+    };
+    assert!(said(RobustMatcher::default()).contains("--gsd"));
+    assert!(!said(matcher).contains("--gsd"), "what is known");
 }
 
 #[test]

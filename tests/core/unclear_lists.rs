@@ -36,6 +36,26 @@ fn converted(input: &Path, output: &str, to: Option<ListFormat>) -> Result<Conve
     convert(input, &input.with_file_name(output), &options).map_err(|e| e.to_string())
 }
 
+/// Nothing that looks like a point is passed over in silence.
+#[test]
+fn rows_that_begin_as_remarks_do_are_points_or_named() {
+    let points = [("#0", 500_021.8, 5_999_994.7, Some(100.0)), ("G4", 500_002.5, 5_999_991.2, Some(104.0))];
+    let rows = "#0,500021.8,5999994.7,100\nG4,500002.5,5999991.2,104\n";
+    is_read(&format!("name,easting,northing,height\n{rows}"), &points, "row 2 begins with `#`");
+    is_read(rows, &points, "row 1 begins with `#`");
+    let numbered = [("#1", 500_021.8, 5_999_994.7, None), ("#2", 500_002.5, 5_999_991.2, None)];
+    let rows = "#1;500021,8;5999994,7\n#2;500002,5;5999991,2\n";
+    is_read(&format!("name;easting;northing\n{rows}"), &numbered, "rows 2 and 3 begin with `#`");
+    is_read(rows, &numbered, "rows 1 and 2 begin with `#`");
+    let quoted = "name,easting,northing\n\"#1\",500021.8,5999994.7\n2,500002.5,5999991.2\n";
+    is_read(quoted, &[("#1", 500_021.8, 5_999_994.7, None), ("2", 500_002.5, 5_999_991.2, None)], "");
+    let out = "name,easting,northing\nG1,500021.8,5999994.7\nG2,500002.5,5999991.2\n# G3,500012.5,5999981.2\n";
+    let left = [("G1", 500_021.8, 5_999_994.7, None), ("G2", 500_002.5, 5_999_991.2, None)];
+    is_read(out, &left, "row 4 begins with `#` as remarks do");
+    let none = "name,easting,northing\n# 1,500021.8,5999994.7\n# 2,500002.5,5999991.2\n";
+    refused("local", none, &["no points", "rows 2 and 3 begin with `#`", "quote"]);
+}
+
 #[test]
 fn marks_between_thousands_are_shown_by_the_file() {
     let points = [("A", 500_000.0, 4_649_776.0, Some(1_100.0)), ("B", 500_100.0, 4_649_876.0, Some(2_500.0))];

@@ -119,7 +119,7 @@ impl Matcher for TppMatcher {
         let (control, positions) = control_points(gcps);
         let judge = RobustMatcher { max_false_alarms: self.max_false_alarms, ..RobustMatcher::default() };
         let all: Vec<&Candidate> = candidates.iter().collect();
-        let decide = |found: Found| judge.decide(found, candidates.len(), &control, priors);
+        let decide = |found: Found| judge.decide(found, candidates.len(), (gcps, &control), priors);
         let mut outcome = decide(Found::default());
         let (image, list) = self.points(candidates, gcps, &control);
         if image.places.len() < 3 || list.places.len() < 3 {

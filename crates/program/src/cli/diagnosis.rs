@@ -72,6 +72,7 @@ fn blame_options(
             / RobustMatcher::later_part(list.gcps.len())
             / attempts.len().max(1) as u64,
         time_limit: time_limit.clone(),
+        ..RobustMatcher::default()
     };
     let fits = |(options, priors): &(&str, Priors)| match matcher.find(
         candidates,

@@ -11,7 +11,7 @@ use autoref_raster::memory_plan::{PlanOptions, ScanPlan};
 use autoref_raster::{self as raster, Georeference, RasterInfo, RasterSource, ReaderChoice};
 use autoref_stream::gcp::{self, GcpOptions};
 use autoref_stream::georef::beneath;
-use autoref_stream::matching::{Matcher, MirrorMatcher, Priors, RobustMatcher, TimeLimit};
+use autoref_stream::matching::{Matcher, MirrorMatcher, OfImage, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::MarkDetector;
 use autoref_stream::pipeline::asked::Asked;
 use autoref_stream::profile::{Profile, Rule};
@@ -197,25 +197,40 @@ fn prior_scale(info: &RasterInfo) -> Option<(f64, f64)> {
 /// part.
 pub fn priors(info: &RasterInfo, matching: &MatchArgs) -> Vec<Priors> {
     let size = Some((info.width as f64, info.height as f64));
+    let own_scale = prior_scale(info).filter(|_| matching.prior == PriorArg::Auto);
     let asked = Priors {
         gsd_m_per_px: matching.gsd.map(|g| (g.0, g.1)),
         rotation_deg: matching.north_up.map(|half| (0.0, half)),
         image_size_px: size,
     };
     let mut ladder = vec![asked.clone()];
-    if matching.prior == PriorArg::Auto
-        && asked.gsd_m_per_px.is_none()
-        && let Some(scale) = prior_scale(info)
+    if asked.gsd_m_per_px.is_none()
+        && let Some(scale) = own_scale
     {
         ladder.insert(0, Priors { gsd_m_per_px: Some(scale), ..asked });
     }
     ladder
 }
 
-/// Mirrored, where the image's own georeference is: rows that go north, or columns that go west.
-pub fn own_handedness(info: &RasterInfo, matching: &MatchArgs) -> Option<Handedness> {
-    let GeoTransform(g) = info.geotransform.filter(|_| matching.prior == PriorArg::Auto)?;
-    (g[1] * g[5] - g[2] * g[4] > 0.0).then_some(Handedness::Mirrored)
+/// What the image says of itself, where it may: nothing of itself by default.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct OwnWord {
+    /// Mirrored, where its georeference is: rows that go north, or columns that go west.
+    handedness: Option<Handedness>,
+    of_image: OfImage,
+}
+
+impl OwnWord {
+    pub fn of(info: &RasterInfo, matching: &MatchArgs) -> OwnWord {
+        if matching.prior != PriorArg::Auto {
+            return OwnWord::default();
+        }
+        let is_mirrored = |&GeoTransform(g): &GeoTransform| g[1] * g[5] - g[2] * g[4] > 0.0;
+        OwnWord {
+            handedness: info.geotransform.filter(is_mirrored).map(|_| Handedness::Mirrored),
+            of_image: OfImage { scale: prior_scale(info).is_some(), north: info.geotransform.is_some() },
+        }
+    }
 }
 
 /// What a matcher's searches have together.
@@ -227,10 +242,10 @@ pub struct Shared {
     pub part: u64,
 }
 
-/// The matcher that was asked for. `own`: what the image says of its handedness; both ways are tried then.
+/// The matcher that was asked for. Where the image says something of its handedness both ways are tried.
 pub fn matcher(
     matching: &MatchArgs,
-    own: Option<Handedness>,
+    own: OwnWord,
     shared: Shared,
     time_limit: &TimeLimit,
 ) -> anyhow::Result<Box<dyn Matcher>> {
@@ -240,15 +255,21 @@ pub fn matcher(
     if matching.north_up.is_some_and(|d| !(0.0..=180.0).contains(&d)) {
         bail!("--north-up takes degrees from 0 to 180");
     }
-    if matching.allow_mirrored || own.is_some() {
-        let within = one_way(matching, Shared { chances: 2 * shared.chances, ..shared }, time_limit)?;
-        return Ok(Box::new(MirrorMatcher { within, expected: own }));
+    if matching.allow_mirrored || own.handedness.is_some() {
+        let shared = Shared { chances: 2 * shared.chances, ..shared };
+        let within = one_way(matching, own.of_image, shared, time_limit)?;
+        return Ok(Box::new(MirrorMatcher { within, expected: own.handedness }));
     }
-    one_way(matching, shared, time_limit)
+    one_way(matching, own.of_image, shared, time_limit)
 }
 
 /// The matcher of images that are not mirrored.
-fn one_way(matching: &MatchArgs, shared: Shared, time_limit: &TimeLimit) -> anyhow::Result<Box<dyn Matcher>> {
+fn one_way(
+    matching: &MatchArgs,
+    of_image: OfImage,
+    shared: Shared,
+    time_limit: &TimeLimit,
+) -> anyhow::Result<Box<dyn Matcher>> {
     if matching.matcher == MatcherArg::Tpp {
         let max_false_alarms = matching.max_false_alarms / shared.chances as f64;
         return Ok(Box::new(matching.patterns.matcher(matching.gsd, max_false_alarms)?));
@@ -258,5 +279,6 @@ fn one_way(matching: &MatchArgs, shared: Shared, time_limit: &TimeLimit) -> anyh
         tries: shared.chances as f64,
         budget_hypotheses: RobustMatcher::default().budget_hypotheses / shared.part,
         time_limit: time_limit.clone(),
+        of_image,
     }))
 }

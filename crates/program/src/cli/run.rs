@@ -122,7 +122,7 @@ pub fn first_look(args: &LookArgs) -> anyhow::Result<RunResult> {
     let priors = prepare::priors(info, &args.matching);
     let matcher = prepare::matcher(
         &args.matching,
-        prepare::own_handedness(info, &args.matching),
+        prepare::OwnWord::of(info, &args.matching),
         Shared { chances: priors.len(), part: 1 },
         &args.matching.limit(),
     )?;
@@ -319,7 +319,7 @@ impl Matchers {
         looks: Looks,
         time_limit: &TimeLimit,
     ) -> anyhow::Result<Matchers> {
-        let own = prepare::own_handedness(info, matching);
+        let own = prepare::OwnWord::of(info, matching);
         let of =
             |chances, part| prepare::matcher(matching, own, Shared { chances: priors * chances, part }, time_limit);
         let later = RobustMatcher::later_part(gcps);

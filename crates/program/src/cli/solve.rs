@@ -13,7 +13,7 @@ use crate::cli::accuracy;
 use crate::cli::args::SolveArgs;
 use crate::cli::diagnosis;
 use crate::cli::document::Document;
-use crate::cli::prepare::{self, Shared};
+use crate::cli::prepare::{self, OwnWord, Shared};
 use crate::cli::replay;
 use crate::cli::run;
 use crate::cli::solving::ImagePlace;
@@ -48,7 +48,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<ExitCode> {
         image_size_px: size,
     };
     let time_limit = args.matching.limit();
-    let matcher = prepare::matcher(&args.matching, None, Shared { chances: 1, part: 1 }, &time_limit)?;
+    let matcher = prepare::matcher(&args.matching, OwnWord::default(), Shared { chances: 1, part: 1 }, &time_limit)?;
     let match_started = Instant::now();
     let mut outcome = solve_candidates(&candidates, &list.gcps, matcher.as_ref(), &priors)?;
     diagnosis::examine(
