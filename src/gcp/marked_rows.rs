@@ -68,7 +68,7 @@ pub(super) fn told<'a>(lines: &[Line<'a>]) -> Told<'a> {
     };
     // Cut as most other points are; without any only titles and units may stand there, or the points are of a form that
     // is not known here. Of equals the first.
-    let mut cuts: Vec<(Vec<(usize, Cells)>, Vec<Cells>)> = SEPARATORS.into_iter().map(cut).collect();
+    let mut cuts: Vec<_> = SEPARATORS.into_iter().map(cut).collect();
     cuts.sort_by_key(|(marked, points)| std::cmp::Reverse((points.len(), marked.len())));
     let (marked, points) = cuts.swap_remove(0);
     if marked.is_empty() || (points.is_empty() && unmarked().count() > MOST_TITLES) {

@@ -102,7 +102,8 @@ pub(super) fn upside_down(
     let fits_exchanged =
         from.len() >= FEWEST && (better(exchanged_m, stated_m) || better(exchanged_rms_m, stated_rms_m));
     let turns_over = up && elevation_deg(&views, &other.rotation)? < -LEVEL_DEG;
-    if !fits_exchanged && !(turns_over && exchanged_m <= WORSE * stated_m.max(nothing_m)) {
+    let fits_no_worse = exchanged_m <= WORSE * stated_m.max(nothing_m);
+    if !(fits_exchanged || turns_over && fits_no_worse) {
         return None;
     }
     Some(UpsideDown {
