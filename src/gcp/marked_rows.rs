@@ -2,7 +2,8 @@
 //! with `#` or `!`.
 //!
 //! Who comments a point out leaves its name as it is, like those of the other points, and often a blank before it.
-//! Names that begin with a mark go on with a number (`#1`), and either all points have such names or the others have letters.
+//! Names that begin with a mark go on with a number (`#1`), and either all points have such names or the others have
+//! letters.
 
 use crate::gcp::text::{Line, SEPARATORS, Separator, number, split};
 

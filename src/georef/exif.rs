@@ -148,7 +148,8 @@ pub fn check(image: &Path) -> Result<()> {
 /// Writes the copy.
 ///
 /// # Errors
-/// Those of [`check`]; when the CRS has no relation to WGS 84 that is good enough; [`Error::Limit`] when the block is full.
+/// Those of [`check`]; when the CRS has no relation to WGS 84 that is good enough; [`Error::Limit`] when the block is
+/// full.
 pub fn write(image: &Path, to: &Path, place: &Place) -> Result<()> {
     let mut head = Head::read(image)?;
     let old = head.exif.map(|at| head.segments.remove(at)).map(|segment| segment.bytes[10..].to_vec());

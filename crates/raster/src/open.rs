@@ -107,8 +107,8 @@ pub fn georeference_inside(path: &Path, page: usize, bytes: Option<&Path>) -> Re
     Ok(Georeference { transform: facts.geotransform, crs_wkt: facts.crs_wkt })
 }
 
-/// The georeference that GDAL finds at `path`, an absolute one. Where that is a symbolic link, the files beside the link
-/// count, not those beside what it leads to.
+/// The georeference that GDAL finds at `path`, an absolute one. Where that is a symbolic link, the files beside the
+/// link count, not those beside what it leads to.
 ///
 /// # Errors
 /// When the file is missing, broken or no raster.

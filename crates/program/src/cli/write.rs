@@ -19,8 +19,8 @@ use crate::cli::progress::Telling;
 /// What is written and where.
 #[derive(Args, Debug)]
 pub struct WriteArgs {
-    /// What to write. Default: world,aux, and vrt too with --out and for an image of which GDAL passes these over; for a
-    /// folder or list of tiles only vrt.
+    /// What to write. Default: world,aux, and vrt too with --out and for an image of which GDAL passes these over; for
+    /// a folder or list of tiles only vrt.
     #[arg(long, value_name = "KIND,…", value_delimiter = ',', value_parser = kinds(), help_heading = "Output")]
     pub write: Vec<Output>,
     /// Write here instead of beside the image.
