@@ -19,8 +19,8 @@ const FEWEST: usize = 3;
 const WAITING_BYTES: u64 = 32 << 20;
 /// Marks of one kind differ by less than this factor.
 const ONE_KIND: f64 = 1.6;
-/// What is advised takes marks so much larger than those that were seen, and so much smaller: the bounds of a square
-/// that lies across the pixels are up to √2 as large as its side.
+/// What is advised takes marks so much larger than those that were seen, and so much smaller: the bounds of a square that
+/// lies across the pixels are up to √2 as large as its side.
 const SPARE: f64 = 1.25;
 const SPARE_BELOW: f64 = 1.6;
 
