@@ -14,9 +14,6 @@ use autoref_raster::error::Result;
 
 /// Fewer are no pattern.
 const FEWEST: usize = 3;
-/// Large regions that straddle tiles wait with more pixels around them than the plan counts with; so much of the budget
-/// must be left.
-const WAITING_BYTES: u64 = 32 << 20;
 /// Marks of one kind differ by less than this factor.
 const ONE_KIND: f64 = 1.6;
 /// What is advised takes marks so much larger than those that were seen, and so much smaller: the bounds of a square that
@@ -82,8 +79,7 @@ pub(super) fn look_beyond(
     first: &mut Run,
     may_match: MayMatch,
 ) -> Result<(Option<Run>, Option<OtherSize>)> {
-    let room_bytes = job.plan.memory_budget_bytes.saturating_sub(job.plan.planned_bytes);
-    if first.scan.regions_of_other_size < FEWEST as u64 || room_bytes < WAITING_BYTES {
+    if first.scan.regions_of_other_size < FEWEST as u64 {
         return Ok((None, None));
     }
     let Some((detector, refiner)) = job.detector.beyond_its_sizes().zip(job.refiner.beyond_its_sizes()) else {
