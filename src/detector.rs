@@ -34,19 +34,6 @@ pub trait Detector: Sync {
         None
     }
 
-    /// Smallest and largest side of a mark, pixels, where the size is a limit of its own.
-    fn mark_side_px(&self) -> Option<(f64, f64)> {
-        None
-    }
-    /// Whether a region that did not pass the gate may be a mark of another size.
-    fn is_of_other_size(&self, _region: &Region) -> bool {
-        false
-    }
-    /// The same detector for marks of the sizes that [`Detector::is_of_other_size`] tells of; `None` where there are
-    /// none.
-    fn beyond_its_sizes(&self) -> Option<Box<dyn Detector>> {
-        None
-    }
     /// Region → Candidates, where a region may be several marks that touch.
     fn examine_all(&self, region: &Region, pixels: &dyn Pixels) -> Vec<Candidate> {
         self.examine(region, pixels).into_iter().collect()

@@ -2,13 +2,14 @@
 //! sorted by colour; each cluster is tried against the list. The limit on false alarms holds for all clusters together,
 //! because the matcher that is given counts [`MOST_CLUSTERS`] of them, tried or not.
 
+use std::collections::HashSet;
+
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use crate::candidate::Candidate;
 use crate::matching::MatchOutcome;
 use crate::pipeline::georeference::{Job, Outcome, Run, find, orient_again};
-use crate::pipeline::other_size::{MayMatch, OtherSize, Places, look_beyond};
 use crate::pipeline::second_pass::{keep_strongest, strongest, taught};
 use crate::pipeline::{MarkDetector, ScanOutcome, scan};
 use crate::profile::colour::lab_from_srgb;
@@ -33,9 +34,6 @@ pub struct ColourSearch {
     /// Clusters that the user's size or rules left out, when nothing else solved it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<LeftOut>,
-    /// The profile's own paint in other sizes, when no cluster solved it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub other_size: Option<OtherSize>,
     /// Seconds, scan and matching.
     pub elapsed_s: f64,
 }
@@ -83,8 +81,7 @@ impl ColourSearch {
     /// paint is bright. Not the paint that `profile` was asked for, nor what it has found.
     pub fn advice(&self, profile: &str) -> Vec<String> {
         let is_new = |c: &&ColourCluster| is_new(&c.colour, profile);
-        let is_of_other_size = self.other_size.as_ref().is_some_and(|other| other.adopted);
-        if is_of_other_size || self.clusters.iter().any(|cluster| cluster.adopted) {
+        if self.clusters.iter().any(|cluster| cluster.adopted) {
             return Vec::new();
         }
         let line = |c: &ColourCluster| {
@@ -99,12 +96,8 @@ impl ColourSearch {
         forbidden.chain(new.into_iter().take(NAMED).map(line)).collect()
     }
 
-    /// That the marks are of another paint than `profile`'s, or of this, told from the rest by the search alone, or of
-    /// another size.
+    /// That the marks are of another paint than `profile`'s, or of this, told from the rest by the search alone.
     pub fn note(&self, profile: &str) -> Option<String> {
-        if let Some(of_size) = self.other_size.as_ref().and_then(OtherSize::note) {
-            return Some(of_size);
-        }
         let ColourCluster { colour, .. } = self.clusters.iter().find(|cluster| cluster.adopted)?;
         Some(if is_new(colour, profile) {
             format!("the marks are of colour {colour}, not the profile's: next time name it, --paint \"{colour}\"")
@@ -123,12 +116,11 @@ fn is_new(colour: &str, profile: &str) -> bool {
     places.is_none_or(|(asked, own)| (place(own) - place(asked)).norm() >= NEAR)
 }
 
-/// Looks for marks of any colour and tries each cluster, then for the profile's own marks of another size; the run that
-/// solves comes back, else the first.
+/// Looks for marks of any colour and tries each cluster; the run that solves comes back, else the first.
 ///
 /// # Errors
 /// When the raster cannot be read.
-pub fn colour_search(job: &Job<'_>, mut first: Run) -> Result<(Run, Option<ColourSearch>)> {
+pub fn colour_search(job: &Job<'_>, first: Run) -> Result<(Run, Option<ColourSearch>)> {
     let started = std::time::Instant::now();
     let (profile, info) = (job.asked.of(Profile::any_paint()), job.source.info());
     let Ok(detector) = MarkDetector::new(profile, info, job.asked.gsd_m) else {
@@ -137,8 +129,7 @@ pub fn colour_search(job: &Job<'_>, mut first: Run) -> Result<(Run, Option<Colou
     job.progress.pass("looking for marks of any colour");
     let seen = scan(job.source, job.plan, detector.as_detector(), job.progress)?;
     let objects = seen.candidates.len();
-    let mut search =
-        ColourSearch { objects, clusters: Vec::new(), left_out: Vec::new(), other_size: None, elapsed_s: 0.0 };
+    let mut search = ColourSearch { objects, clusters: Vec::new(), left_out: Vec::new(), elapsed_s: 0.0 };
     let mut solved = None;
     let known = Places::of(&first.scan.candidates);
     for members in clusters(&seen.candidates).into_iter().take(MOST_CLUSTERS) {
@@ -163,12 +154,6 @@ pub fn colour_search(job: &Job<'_>, mut first: Run) -> Result<(Run, Option<Colou
             });
             break;
         }
-    }
-    if solved.is_none() && matches!(first.outcome, Outcome::Refused(_)) {
-        // One cluster more: the limit on false alarms is shared out among so many, tried or not.
-        let has_chance = search.clusters.len() < MOST_CLUSTERS && job.asked.size.is_none();
-        let may_match = if has_chance { MayMatch::Yes } else { MayMatch::No };
-        (solved, search.other_size) = look_beyond(job, &mut first, may_match)?;
     }
     if solved.is_none() && job.asked.is_something() && matches!(first.outcome, Outcome::Refused(_)) {
         search.left_out = left_out(job, &seen.candidates)?;
@@ -210,6 +195,28 @@ fn oriented(job: &Job<'_>, candidates: &[Candidate], colour: [u8; 3]) -> Result<
     let job = Job { refiner: refiner.as_detector(), ..*job };
     let outcome = orient_again(&job, candidates, *solved, refiner.as_detector())?;
     Ok(matches!(outcome, Outcome::Solved(_)).then_some(outcome))
+}
+
+/// Where candidates are, in cells.
+struct Places(HashSet<[i64; 2]>);
+
+impl Places {
+    /// Side of a cell, px: a mark has one centre in all colours, but for its shadow and its rim.
+    const CELL_PX: f64 = 4.0;
+
+    fn of(candidates: &[Candidate]) -> Places {
+        Places(candidates.iter().map(Places::cell).collect())
+    }
+
+    fn cell(candidate: &Candidate) -> [i64; 2] {
+        [candidate.centre.x, candidate.centre.y].map(|v| (v / Places::CELL_PX).floor() as i64)
+    }
+
+    /// Whether one is at this candidate's place.
+    fn has(&self, candidate: &Candidate) -> bool {
+        let [x, y] = Places::cell(candidate);
+        (-1..=1).any(|down| (-1..=1).any(|right| self.0.contains(&[x + right, y + down])))
+    }
 }
 
 /// How far a colour, #RRGGBB, is from grey in a\*, b\*.
@@ -273,7 +280,6 @@ mod tests {
             objects: 40,
             clusters: vec![cluster("#2A4363"), cluster("#C83232")],
             left_out: Vec::new(),
-            other_size: None,
             elapsed_s: 0.0,
         };
         let advice = search.advice("orange");
@@ -289,8 +295,7 @@ mod tests {
         let options = "--mark-size 30..50px".into();
         let left_out = LeftOut { colour: "#DF5918".into(), objects: 12, side_px: [10.0, 16.0], options };
         let cluster = ColourCluster { colour: "#2A4363".into(), objects: 9, seen: 0, matched: 0, adopted: false };
-        let (clusters, left_out) = (vec![cluster], vec![left_out]);
-        let mut search = ColourSearch { objects: 9, clusters, left_out, other_size: None, elapsed_s: 0.0 };
+        let mut search = ColourSearch { objects: 9, clusters: vec![cluster], left_out: vec![left_out], elapsed_s: 0.0 };
         let advice = search.advice("#DF5918");
         let said = "12 objects of colour #DF5918 of 10 to 16 px look like marks; --mark-size 30..50px left them out";
         assert!(advice.len() == 2 && advice[0] == said, "{advice:?}");
@@ -309,7 +314,7 @@ mod tests {
             |seen: usize| ColourCluster { colour: "#DF5918".into(), objects: 10, seen, matched: 0, adopted: false };
         let advice = |seen| {
             let (clusters, left_out) = (vec![cluster(seen)], Vec::new());
-            ColourSearch { objects: 10, clusters, left_out, other_size: None, elapsed_s: 0.0 }.advice("orange")
+            ColourSearch { objects: 10, clusters, left_out, elapsed_s: 0.0 }.advice("orange")
         };
         assert!(advice(10).is_empty() && advice(5).is_empty());
         assert_eq!(advice(4).len(), 1, "most were passed over");

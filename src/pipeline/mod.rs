@@ -36,7 +36,6 @@ pub mod colour_search;
 pub mod georeference;
 pub mod heights;
 pub mod marks;
-pub mod other_size;
 mod pace;
 pub mod paint;
 pub mod picture;

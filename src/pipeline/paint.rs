@@ -6,7 +6,7 @@ use crate::candidate::{Candidate, Gates, examine, patch_margin_px};
 use crate::detector::Detector;
 use crate::pipeline::bright_paint::BrightPaint;
 use crate::pipeline::worn_paint::{WornColours, WornPaint};
-use crate::profile::{Profile, Size};
+use crate::profile::Profile;
 use crate::segment::classify::{Classifier, PaintColours, classify_piece};
 use crate::segment::filters::MaskFilters;
 use crate::segment::label::Region;
@@ -34,8 +34,6 @@ pub struct PaintDetector {
     profile: Profile,
     classifier: Classifier,
     gates: Gates,
-    /// Of marks of other sizes; no work is done for them but to count.
-    beyond: Gates,
     filters: MaskFilters,
     /// What the samples mean; kept to build stricter tests.
     info: RasterInfo,
@@ -62,12 +60,11 @@ impl PaintDetector {
         gsd_m: Option<f64>,
     ) -> Result<Self> {
         let gates = Gates::new(&profile, gsd_m)?;
-        let beyond = Gates::new(&beyond(&profile, gates.mark_side_px()), None)?;
         let classifier = Classifier::of(colours.paint, info.sample, info.white, info.rgb, info.alpha, info.nodata)?;
         let filters = MaskFilters::new(&profile.filters, gates.max_side_px());
         let bright = BrightPaint::of(&profile, &classifier, &gates);
         let worn = colours.worn.map(|worn| WornPaint::of(&profile, worn, info, &gates)).transpose()?;
-        Ok(PaintDetector { profile, classifier, gates, beyond, filters, info: info.clone(), bright, worn })
+        Ok(PaintDetector { profile, classifier, gates, filters, info: info.clone(), bright, worn })
     }
 
     fn with_field_beside(&self, found: Candidate, region: &Region, pixels: &dyn Pixels) -> Candidate {
@@ -84,26 +81,12 @@ impl PaintDetector {
         PaintDetector {
             classifier: self.classifier.clone(),
             gates: self.gates.clone(),
-            beyond: self.beyond.clone(),
             filters: self.filters.clone(),
             info: self.info.clone(),
             bright: self.bright.as_ref().map(|bright| bright.with_profile(&profile)),
             worn: self.worn.as_ref().map(|worn| worn.with_profile(&profile)),
             profile,
         }
-    }
-}
-
-/// The profile for marks of other sizes: up to five times the largest; and the smaller ones where the smallest is no
-/// small one, else of the upper half of its sizes, of which some may be too large already.
-fn beyond(profile: &Profile, (low, high): (f64, f64)) -> Profile {
-    const LARGER: f64 = 5.0;
-    /// The smallest mark of the shipped profiles.
-    const SMALL_PX: f64 = 5.0;
-    let min_px = if low > 2.0 * SMALL_PX { SMALL_PX } else { high / 2.0 };
-    Profile {
-        size: Size { min_px: Some(min_px), max_px: Some(LARGER * high), min_m: None, max_m: None },
-        ..profile.clone()
     }
 }
 
@@ -159,23 +142,9 @@ impl Detector for PaintDetector {
         profile.colour.limit *= 0.7;
         let info = &self.info;
         let classifier = Classifier::new(&profile, info.sample, info.white, info.rgb, info.alpha, info.nodata).ok()?;
-        let (gates, beyond, filters) = (self.gates.clone(), self.beyond.clone(), self.filters.clone());
+        let (gates, filters) = (self.gates.clone(), self.filters.clone());
         let (bright, worn) = (None, None);
-        Some(Box::new(PaintDetector { profile, classifier, gates, beyond, filters, info: info.clone(), bright, worn }))
-    }
-
-    fn mark_side_px(&self) -> Option<(f64, f64)> {
-        Some(self.gates.mark_side_px())
-    }
-
-    fn is_of_other_size(&self, region: &Region) -> bool {
-        self.beyond.region(region)
-    }
-
-    fn beyond_its_sizes(&self) -> Option<Box<dyn Detector>> {
-        let profile = beyond(&self.profile, self.gates.mark_side_px());
-        let detector = PaintDetector::new(profile, &self.info, None).ok()?;
-        Some(Box::new(detector))
+        Some(Box::new(PaintDetector { profile, classifier, gates, filters, info: info.clone(), bright, worn }))
     }
 
     fn others(&self) -> Vec<&dyn Detector> {

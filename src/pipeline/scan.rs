@@ -6,7 +6,6 @@
 //! read, from pixels along the faces that were kept for them (`pipeline::seams`), or else through small windows read
 //! again. Either way the examination sees the same pixels, so that no candidate depends on the tiling.
 
-use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -68,8 +67,6 @@ pub struct ScanOutcome {
     /// Regions of the detector's own mask that were examined and are no candidates: what the masks beside it show is
     /// often part of a mark.
     pub regions_turned_down: u64,
-    /// Regions of the detector's own mask that may be marks of other sizes; none of them was examined.
-    pub regions_of_other_size: u64,
     /// Reading of the scan alone.
     pub scan_reads: ReadStats,
     pub timings: ScanTimings,
@@ -103,8 +100,6 @@ struct TileOutput {
     /// Only what is open at the faces is left in it, of each layer.
     open: Vec<TileRegions>,
     seam: Seam,
-    /// Complete regions of the detector's own mask that may be marks of other sizes.
-    of_other_size: u64,
 }
 
 /// A complete region that lies in several tiles, with the pixels around it when the seams held them.
@@ -151,7 +146,6 @@ pub fn scan(
         candidates: detector.finish(one_of_each(examined)),
         regions_examined,
         regions_turned_down: collected.turned_down + at_the_end,
-        regions_of_other_size: collected.of_other_size,
         scan_reads: difference(scanned, before),
         timings: ScanTimings { scan_s: seconds(scan_time), examine_s: seconds(examine_started.elapsed()) },
     })
@@ -177,8 +171,6 @@ struct Collected {
     clutter: u64,
     /// Of these, those of the detector's own mask.
     turned_down: u64,
-    /// See [`ScanOutcome::regions_of_other_size`].
-    of_other_size: u64,
     /// Not examined yet.
     straddling: Vec<Straddler>,
 }
@@ -321,15 +313,12 @@ impl<'a> Collector<'a> {
             self.collected.examined.extend(output.examined.into_iter().filter(|one| !one.found.is_empty()));
             self.collected.clutter += (regions + marks - self.collected.examined.len()) as u64;
             self.collected.turned_down += turned_down;
-            self.collected.of_other_size += output.of_other_size;
             let mut complete = output.straddling;
             let _span = tracing::info_span!("merge").entered();
             for (layer, (merger, open)) in self.mergers.iter_mut().zip(output.open).enumerate() {
                 merger.feed(id, open, &mut |region| {
                     if self.layers[layer].gate(&region) {
                         complete.push(Seen { layer, region });
-                    } else if layer == 0 && self.detector.is_of_other_size(&region) {
-                        self.collected.of_other_size += 1;
                     }
                 });
             }
@@ -502,20 +491,13 @@ impl Worker<'_> {
     /// set.
     fn process(&self, tile: &Tile, block: &Block, masks: &mut [Mask], labeller: &mut Labeller) -> TileOutput {
         let info = self.source.info();
-        let of_other_size = Cell::new(0);
         let mut regions: Vec<TileRegions> = {
             let _span = tracing::info_span!(parent: self.span, "segment").entered();
             self.detector.segment_blocks(block, masks);
-            let label = |(layer, (detector, mask)): (usize, (&&dyn Detector, &mut Mask))| {
-                let gate = |region: &Region| {
-                    let passes = detector.gate(region);
-                    let is_other = !passes && layer == 0 && detector.is_of_other_size(region);
-                    of_other_size.set(of_other_size.get() + u64::from(is_other));
-                    passes
-                };
-                labeller.label(mask, tile.core, info.bounds(), gate)
+            let label = |(detector, mask): (&&dyn Detector, &mut Mask)| {
+                labeller.label(mask, tile.core, info.bounds(), |region| detector.gate(region))
             };
-            self.layers.iter().zip(masks).enumerate().map(label).collect()
+            self.layers.iter().zip(masks).map(label).collect()
         };
         let _span = tracing::info_span!(parent: self.span, "examine").entered();
         let mut output = TileOutput {
@@ -524,7 +506,6 @@ impl Worker<'_> {
             straddling: Vec::new(),
             open: Vec::new(),
             seam: Seam::default(),
-            of_other_size: of_other_size.get(),
         };
         let mut standing = Standing::default();
         for (layer, regions) in regions.iter_mut().enumerate() {

@@ -64,31 +64,6 @@ fn a_size_and_a_rule_hold_in_the_search_over_colours_too() {
     }
 }
 
-/// Marks of a low flight: as large as no shipped profile takes.
-#[test]
-fn marks_that_are_larger_than_the_profile_takes_are_found_and_said() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let spec = SynthSpec {
-        gcps: synth::random_gcps(8, 10.0, 8.0, 3),
-        size_px: Some((1001, 801)),
-        clutter: 0,
-        mark: MarkStyle { size: MarkSize::Px(80.0), ..MarkStyle::default() },
-        ..SynthSpec::default()
-    };
-    synth::write(&spec, &folder.path().join("a.tif")).expect("a sample");
-    synth::write_gcp_geojson(&folder.path().join("a.geojson"), &spec.gcps, Some(32632)).expect("a list");
-    let result = run(folder.path(), &["--no-report"]);
-    assert_eq!(result["status"], "solved", "{}", result["reason"]);
-    let other = &result["colour_search"]["other_size"];
-    assert!(other["adopted"] == true && other["matched"].as_u64() >= Some(7), "{other}");
-    let warnings = result["warnings"].to_string();
-    assert!(warnings.contains("next time give --mark-size"), "{warnings}");
-    // What the user says of the size holds: it is named only.
-    let result = run(folder.path(), &["--no-report", "--mark-size", "5..60px"]);
-    let advice = result["advice"].to_string();
-    assert!(result["status"] == "refused" && advice.contains("larger than the marks that are looked for"), "{advice}");
-}
-
 /// What no evidence would satisfy stays refused; the second pass runs by itself and says what it did.
 #[test]
 fn a_refusal_is_followed_by_a_second_pass() {
