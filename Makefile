@@ -64,6 +64,7 @@ lint doc compile test: export ZSTD_SYS_USE_PKG_CONFIG ?= 1
 
 # What the tests need beside the program is installed while they are compiled.
 compile: deps
+	@mkdir -p target
 	@$(MAKE) --no-print-directory test-deps & \
 	if $(CARGO) nextest --version >/dev/null 2>&1; then \
 	  set -x; $(CARGO) nextest run --features coded --no-run; \

@@ -9,6 +9,8 @@ use crate::gcp::text::{Line, SEPARATORS, Separator, number, split};
 
 /// Rows that a message names.
 const NAMED: usize = 4;
+/// Cells of a point: a name and two coordinates.
+const LEAST_CELLS: usize = 3;
 /// Rows of titles and units.
 const MOST_TITLES: usize = 2;
 
@@ -39,10 +41,12 @@ impl Cells {
         (coordinates >= 2).then(|| Cells { name: name.trim().to_owned(), numbers })
     }
 
-    /// As many cells, and numbers where the other has them.
+    /// Numbers where the other has them; cells at the end may be left out of either.
     fn is_like(&self, other: &Cells) -> bool {
         let agree = |(one, two): (&Option<bool>, &Option<bool>)| one.is_none() || two.is_none() || one == two;
-        self.numbers.len() == other.numbers.len() && self.numbers.iter().zip(&other.numbers).all(agree)
+        let shorter = self.numbers.len().min(other.numbers.len());
+        let enough = shorter >= LEAST_CELLS || self.numbers.len() == other.numbers.len();
+        enough && self.numbers.iter().zip(&other.numbers).all(agree)
     }
 }
 
@@ -64,7 +68,10 @@ pub(super) fn told<'a>(lines: &[Line<'a>]) -> Told<'a> {
             let cells = Cells::of(behind(line).trim_start(), separator).filter(|_| line.is_comment())?;
             (points.is_empty() || points.iter().any(|point| cells.is_like(point))).then_some((at, cells))
         };
-        let marked: Vec<(usize, Cells)> = lines.iter().enumerate().filter_map(row).collect();
+        // What stands above titles speaks of the file.
+        let first = lines.iter().position(|line| !line.is_comment());
+        let first = first.filter(|at| Cells::of(lines[*at].text, separator).is_none()).unwrap_or(0);
+        let marked: Vec<(usize, Cells)> = lines.iter().enumerate().skip(first).filter_map(row).collect();
         (marked, points)
     };
     // Cut as most other points are; without any only titles and units may stand there, or the points are of a form that
@@ -78,9 +85,11 @@ pub(super) fn told<'a>(lines: &[Line<'a>]) -> Told<'a> {
     let is_name = |(at, cells): &(usize, Cells)| {
         let line = &lines[*at];
         let has_mark = line.text.starts_with(['#', '!']) && line.text.len() == behind(line).len() + 1;
-        has_mark && !behind(line).starts_with(char::is_whitespace) && (points.is_empty() || is_digits(&cells.name))
+        let may_be = is_digits(&cells.name) || (points.is_empty() && number(&cells.name).is_none());
+        has_mark && !behind(line).starts_with(char::is_whitespace) && may_be
     };
-    let may_be_names = !points.iter().any(|point| is_digits(&point.name));
+    // Numbers there are names without a mark, or coordinates.
+    let may_be_names = !points.iter().any(|point| number(&point.name).is_some());
     let (named, left): (Vec<_>, Vec<_>) = marked.into_iter().partition(|row| may_be_names && is_name(row));
     let mut told = lines.to_vec();
     named.iter().for_each(|(at, _)| told[*at].is_point = true);

@@ -18,7 +18,9 @@ pub(super) fn explain(
     let open = open_questions(known);
     let reason = if candidates < 3 {
         advice.push(
-            "check that the profile fits the paint: try another --profile, or learn one with `sample`".to_string(),
+            "check that the profile fits the paint: try another --profile, or learn one with `sample`; marks larger or \
+             smaller than it takes (mostly 5 to 60 px) need --mark-size"
+                .to_string(),
         );
         format!("{} found; a pattern needs at least 3", counted(candidates, "candidate", "candidates"))
     } else if control.len() < 3 {

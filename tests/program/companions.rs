@@ -40,13 +40,9 @@ fn small() -> tempfile::TempDir {
 fn companions(file: &Path) -> Vec<PathBuf> {
     let appended = |end: &str| PathBuf::from(format!("{}{end}", file.display()));
     match file.extension().and_then(|end| end.to_str()) {
-        Some("tif") => {
-            let mut all: Vec<_> = [".aux.xml", ".ovr", ".msk", ".msk.ovr"].map(appended).into();
-            all.extend(["tfw", "wld"].map(|end| file.with_extension(end)));
-            all
-        }
+        Some("tif") => [".aux.xml", ".ovr", ".msk", ".msk.ovr"].map(appended).into(),
         Some("jpg" | "vrt") => vec![appended(".aux.xml"), appended(".ovr")],
-        Some("shp") => ["qix", "sbn", "sbx", "prj"].map(|end| file.with_extension(end)).into(),
+        Some("shp") => ["qix", "sbn", "sbx"].map(|end| file.with_extension(end)).into(),
         Some("gpkg") => vec![appended("-wal"), appended("-journal")],
         _ => Vec::new(),
     }

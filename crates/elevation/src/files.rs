@@ -145,6 +145,10 @@ fn read_features(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring>>)>
             let mut polygons: Vec<Vec<Ring>> = Vec::new();
             if let Some(geometry) = feature.geometry().filter(|_| crate::labels::has_geometry(&feature)) {
                 collect_polygons(geometry, &mut polygons);
+                // Texts and lines beside areas are no zones.
+                if polygons.is_empty() && !geometry.is_empty() && !geometry.geometry_name().contains("POLYGON") {
+                    continue;
+                }
             }
             let number = feature.fid().map_or_else(|| "without a number".into(), |id| id.to_string());
             if polygons.iter().flatten().flatten().any(|(x, y)| !(x.is_finite() && y.is_finite())) {
@@ -174,7 +178,7 @@ fn read_features(path: &Path, wkt: &str) -> Result<Vec<(String, Vec<Vec<Ring>>)>
             let named = feature.fields().find(|(key, _)| {
                 ["name", "id", "glacier", "line", "zone"].contains(&key.to_ascii_lowercase().as_str())
             });
-            let name = named.and_then(|(_, value)| value.and_then(|v| v.into_string()));
+            let name = named.and_then(|(_, value)| value.and_then(|v| v.into_string())).filter(|name| !name.is_empty());
             let unnamed = || if polygons.is_empty() { format!("feature {number}") } else { count.to_string() };
             areas.push((name.unwrap_or_else(unnamed), polygons));
         }

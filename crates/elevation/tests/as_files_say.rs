@@ -586,6 +586,6 @@ fn the_error_of_a_mean_is_that_of_its_noise_or_is_not_stated() {
     std::fs::write(&everywhere, text).expect("writable");
     let found = compare(&noisy(1), &flat, Some(&everywhere), &folder.path().join("z"));
     assert_eq!((found.mean_se_m, found.effective_n), (None, None));
-    let volume = &found.volumes[0];
+    let volume = found.volumes.iter().find(|volume| volume.zone == "all").expect("the area");
     assert!(volume.volume_m3.is_some() && volume.volume_95_m3.is_none() && volume.mean_se_m.is_none());
 }

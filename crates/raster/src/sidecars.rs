@@ -10,8 +10,10 @@ const WORLD: &[&str] = &["tfw", "jgw", "pgw", "wld", "tifw"];
 const OF_SHAPES: &[&str] = &["dbf", "shx", "prj", "cpg", "qix", "sbn", "sbx", "idm", "ind", "qpj"];
 /// Ends that follow the name of an SQLite database; one that is left from another would be played into it.
 const OF_DATABASES: &[&str] = &["-wal", "-shm", "-journal"];
-/// Rasters that may have a world file.
-const IMAGES: &[&str] = &["tif", "tiff", "jpg", "jpeg", "png", "jp2", "webp", "gif", "bmp"];
+/// Of these, what no other format has: indexes and the letters of the table.
+const OF_SHAPES_ALONE: &[&str] = &["cpg", "qix", "sbn", "sbx", "qpj"];
+/// Rasters and tables whose CRS stands in a `.prj` as well.
+const WITH_PROJECTION: &[&str] = &["asc", "bil", "bip", "bsq", "flt", "hdr", "e00", "grd", "tab", "tif", "jpg", "png"];
 
 /// Names of files that belong to an image by their name, whether they are there or not.
 pub fn sidecars(input: &Path) -> Vec<PathBuf> {
@@ -21,24 +23,21 @@ pub fn sidecars(input: &Path) -> Vec<PathBuf> {
     appended.chain(ends.map(|end| input.with_extension(end))).filter(|name| name != input).collect()
 }
 
-/// Files beside `file`, whether it is there itself or not, through which GDAL would read it. A world file that another
-/// image of this name has, too, is that one's.
+/// Files beside `file`, whether it is there itself or not, through which GDAL would read it and which are no other
+/// file's: they bear its whole name, or are of shapefiles alone. A world file may be another image's, and a raster with
+/// tags of its own is not read through it.
 pub(crate) fn companions(file: &Path) -> Vec<PathBuf> {
-    let end = extension(file);
     let mut waiting: Vec<PathBuf> = either_case(APPENDED).map(|end| appended(file, &end)).collect();
-    match end.as_str() {
-        "shp" => waiting.extend(either_case(OF_SHAPES).map(|end| file.with_extension(end))),
-        "gpkg" => waiting.extend(OF_DATABASES.iter().map(|end| appended(file, end))),
-        _ => {
-            let is_others = |world: &str| {
-                let of_world =
-                    IMAGES.iter().filter(|image| **image != end && world_ends(image).iter().any(|w| w == world));
-                either_case(of_world).any(|image| file.with_extension(image).is_file())
-            };
-            let own = world_ends(&end).into_iter().filter(|world| !is_others(world));
-            let own: Vec<String> = own.collect();
-            waiting.extend(either_case(&own).map(|end| file.with_extension(end)));
+    match extension(file).as_str() {
+        "shp" => {
+            waiting.extend(either_case(OF_SHAPES_ALONE).map(|end| file.with_extension(end)));
+            let is_others = either_case(WITH_PROJECTION).any(|end| file.with_extension(end).exists());
+            if file.exists() && !is_others {
+                waiting.extend(either_case(&["prj"]).map(|end| file.with_extension(end)));
+            }
         }
+        "gpkg" => waiting.extend(OF_DATABASES.iter().map(|end| appended(file, end))),
+        _ => {}
     }
     let mut found = Vec::new();
     while let Some(name) = waiting.pop() {
@@ -50,15 +49,6 @@ pub(crate) fn companions(file: &Path) -> Vec<PathBuf> {
     }
     found.sort();
     found
-}
-
-/// Extensions of world files of an image with this one: its first and its last letter, or all, and a `w`.
-fn world_ends(image: &str) -> Vec<String> {
-    let (Some(first), Some(last)) = (image.chars().next(), image.chars().last()) else { return vec!["wld".into()] };
-    if !IMAGES.contains(&image) {
-        return Vec::new();
-    }
-    vec![format!("{first}{last}w"), format!("{image}w"), "wld".into()]
 }
 
 /// Each end as it is, and in capitals.
@@ -90,16 +80,12 @@ mod tests {
             std::fs::write(at(name), "x").expect("writable");
         }
         std::fs::create_dir(at("b.tif.ovr")).expect("a folder");
+        std::fs::write(at("a.asc"), "x").expect("writable");
         for (file, expected) in [
-            (
-                "a.tif",
-                "a.TFW a.tfw a.tif.OVR a.tif.aux.xml a.tif.msk a.tif.msk.ovr a.tif.ovr a.tif.ovr.ovr a.tifw a.wld",
-            ),
-            ("a.jpg", "a.jgw a.wld"),
-            ("a.shp", "a.dbf a.prj a.qix a.sbn a.shx"),
+            ("a.tif", "a.tif.OVR a.tif.aux.xml a.tif.msk a.tif.msk.ovr a.tif.ovr a.tif.ovr.ovr"),
+            ("a.jpg", ""),
+            ("a.shp", "a.qix a.sbn"),
             ("a.gpkg", "a.gpkg-wal"),
-            ("a", "a.wld"),
-            ("a.vrt", ""),
             ("a.html", ""),
             ("b.tif", ""),
         ] {
@@ -107,12 +93,10 @@ mod tests {
             let names: Vec<_> = found.iter().map(|f| f.file_name().expect("a name").to_string_lossy()).collect();
             assert_eq!(names.join(" "), expected, "{file}");
         }
-        std::fs::write(at("a.tiff"), "x").expect("writable");
-        let kept = companions(&at("a.tif"));
-        assert!(
-            !kept.contains(&at("a.tfw")) && !kept.contains(&at("a.wld")),
-            "they are those of a.tiff, too: {kept:?}"
-        );
-        assert!(kept.contains(&at("a.tifw")));
+        // The system is the shapefile's where nothing else of its name may have it.
+        std::fs::remove_file(at("a.asc")).expect("there");
+        assert!(companions(&at("a.shp")).contains(&at("a.prj")));
+        std::fs::remove_file(at("a.shp")).expect("there");
+        assert!(!companions(&at("a.shp")).contains(&at("a.prj")));
     }
 }

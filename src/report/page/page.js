@@ -578,7 +578,7 @@
         html("tbody", {}, ...t.rows.map((r) => html("tr", {}, ...r.map((c, k) => html("td", { class: kind(c, k) }, c)))))))))));
   }
   // A name as a shell takes it for one word.
-  const quoted = (name) => (/^[\w.\/+:@%,=-]+$/.test(name) && !name.startsWith("-") ? name : `'${name.replace(/'/g, "'\\''")}'`);
+  const quoted = (name) => (/^[\w.\/+:@%,=-]+$/.test(name) && !name.startsWith("-") ? name : name.startsWith("-") ? quoted(`./${name}`) : `'${name.replace(/'/g, "'\\''")}'`);
   const beside = (ending) => D.source.replace(/(\.autoref)?\.json$/, "") + ending;
   function details() {
     const d = D.details, mib = (b) => `${(b / 1048576).toFixed(0)} MiB`, seconds = (v) => `${v.toFixed(2)} s`;

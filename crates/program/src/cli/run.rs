@@ -230,7 +230,8 @@ fn say_where_it_lies(
     (info, written): (&RasterInfo, Option<GeoTransform>),
     list: &GcpList,
 ) -> Result<(), Error> {
-    let found = request.found(&document.result)?;
+    // A note is not worth the run.
+    let found = request.found(&document.result).unwrap_or(autoref_stream::georef::shown::Found::Unknown);
     document.prior(info, written, list, &found);
     if document.result.solved().is_some() {
         // First, since a brief summary has the first notes only.

@@ -88,9 +88,10 @@ pub const DEFAULT_SIGMA_GROUND_M: f64 = 25.0;
 /// Positions of cameras that fix a datum.
 const LEAST_POSITIONS: usize = 3;
 
-/// The mean of the positions of a camera table.
-fn middle(rows: &[CameraRow]) -> [f64; 3] {
-    [0, 1, 2].map(|axis| rows.iter().map(|row| row.xyz[axis]).sum::<f64>() / rows.len().max(1) as f64)
+/// The middle of the positions of a camera table, axis by axis, which single rows of elsewhere do not move.
+fn middle<'a>(rows: impl Iterator<Item = &'a CameraRow>) -> [f64; 3] {
+    let places: Vec<[f64; 3]> = rows.map(|row| row.xyz).collect();
+    [0, 1, 2].map(|axis| super::frames::median(places.iter().map(|xyz| xyz[axis]).collect()).unwrap_or(0.0))
 }
 
 /// Whether the word means a plane.
@@ -111,7 +112,7 @@ impl Control {
                 rows.len()
             );
         }
-        let control = Control { crs, cameras_at: Some(middle(rows)), ..Control::default() };
+        let control = Control { crs, cameras_at: Some(middle(rows.iter())), ..Control::default() };
         control.world().with_context(|| table.display().to_string())?;
         Ok(control)
     }
@@ -135,12 +136,13 @@ impl Control {
         world_of(self.crs.as_ref(), self.cameras_at.unwrap_or_else(|| [mean(0), mean(1), mean(2)]))
     }
 
-    /// The world about the middle of a camera table's rows, which stays where it is whatever becomes of the list.
+    /// The world about the middle of a camera table's rows of these frames, which stays where it is whatever becomes of
+    /// the list.
     ///
     /// # Errors
     /// When they lie outside the CRS.
-    pub fn world_of_table(&self, rows: &[CameraRow]) -> Result<World> {
-        world_of(self.crs.as_ref(), middle(rows))
+    pub fn world_of_table(&self, frames: &[&str], rows: &[CameraRow]) -> Result<World> {
+        world_of(self.crs.as_ref(), middle(super::runs::rows_of(frames, rows).into_iter().flatten()))
     }
 
     /// The frames that the list names, in order, each once.

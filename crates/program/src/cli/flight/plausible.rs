@@ -42,7 +42,7 @@ pub fn upside_down(
     let what = if found.looks_up() {
         format!(
             "{list}its {places} hang the block upside down: its frames look up ({:.0} degrees above the horizon), and \
-             would look down with easting and northing of the {places} exchanged, which fits no worse ({fit})",
+             would look down with easting and northing of the {places} exchanged, which fits about as well ({fit})",
             found.looks_deg
         )
     } else {

@@ -241,7 +241,8 @@ impl<'a> Ready<'a> {
         let tied = match plane.zip(self.control.as_ref()) {
             Some((plane, control)) => {
                 let listed = flight.listed(plane);
-                let (ground, _) = self.ground(control, &control.world_of_table(&self.frames.rows)?, &listed)?;
+                let (ground, _) =
+                    self.ground(control, &control.world_of_table(&flight.ordered, &self.frames.rows)?, &listed)?;
                 flight.tied(plane, &ground)?
             }
             None => None,
@@ -411,7 +412,7 @@ fn ground_plane(
     flight: &Flight<'_>,
 ) -> Option<GroundPlane> {
     let (table, f_px) = (project.rough.as_ref()?, project.camera.f_px?);
-    let world = control.world_of_table(rows).ok()?;
+    let world = control.world_of_table(&flight.ordered, rows).ok()?;
     let names = &flight.ordered;
     let of_frames = runs::rows_of(names, rows);
     let above = of_frames.iter().flatten().map(|row| row.xyz[2] * world.units_m()[1]).collect();
