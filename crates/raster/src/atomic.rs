@@ -500,7 +500,7 @@ mod tests {
             names.sort();
             names.join(" ")
         };
-        let all = "a.tfw a.tif a.tif.aux.xml a.tif.msk a.tif.msk.ovr a.tif.ovr b.tif.ovr";
+        let all = "a.tif a.tif.aux.xml a.tif.msk a.tif.msk.ovr a.tif.ovr b.tif.ovr";
         let begin = || all.split(' ').for_each(|name| std::fs::write(at(name), "old").expect("writable"));
         begin();
         write(&at("a.tif"), b"new").expect("written");
