@@ -54,14 +54,6 @@ fn rows_that_begin_as_remarks_do_are_points_or_named() {
     is_read(out, &left, "row 4 begins with `#` as remarks do");
     let none = "name,easting,northing\n# 1,500021.8,5999994.7\n# 2,500002.5,5999991.2\n";
     refused("local", none, &["no points", "rows 2 and 3 begin with `#`", "quote"]);
-    // A number behind the mark is a name only where no other row begins with one.
-    let rows = "500021.8,5999994.7,100,G1\n500002.5,5999991.2,104,G2\n#500012,5999981.2,104,G3\n";
-    let out = [("G1", 500_021.8, 5_999_994.7, Some(100.0)), ("G2", 500_002.5, 5_999_991.2, Some(104.0))];
-    is_read(&format!("easting,northing,height,name\n{rows}"), &out, "row 4 begins with `#`");
-    let remark = "#EPSG:25832\n#1,2,3\nname,easting,northing\nG1,500021.8,5999994.7\nG2,500002.5,5999991.2\n";
-    is_read(remark, &left, "");
-    let fewer = "name,easting,northing,height,code\nG4,500002.5,5999991.2,104,GCP\n#1,500021.8,5999994.7,100\n";
-    is_read(fewer, &[points[1], ("#1", 500_021.8, 5_999_994.7, Some(100.0))], "row 3 begins with `#`");
 }
 
 #[test]

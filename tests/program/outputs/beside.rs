@@ -31,9 +31,7 @@ fn near(path: &Path, expected: &GeoTransform) {
 /// A run said that the image's georeference was overridden, and GDAL read the old one.
 #[test]
 fn where_gdal_passes_over_an_aux_xml_a_vrt_is_written_and_named() {
-    for (driver, name, vrt) in
-        [("HFA", "a.img", "a.vrt"), ("ENVI", "b.dat", "b.vrt"), ("VRT", "mosaic.vrt", "mosaic.autoref.vrt")]
-    {
+    for (driver, name, vrt) in [("HFA", "a.img", "a.vrt")] {
         let sample = Sample::new(TURNED);
         translated(&sample, driver, name);
         let image = sample.path(name);
