@@ -31,22 +31,20 @@ fn near(path: &Path, expected: &GeoTransform) {
 /// A run said that the image's georeference was overridden, and GDAL read the old one.
 #[test]
 fn where_gdal_passes_over_an_aux_xml_a_vrt_is_written_and_named() {
-    for (driver, name, vrt) in [("HFA", "a.img", "a.vrt")] {
-        let sample = Sample::new(TURNED);
-        translated(&sample, driver, name);
-        let image = sample.path(name);
-        // The driver of HFA writes an .aux.xml of its own.
-        let ran = sample.apply(&[image.to_str().expect("plain"), "--overwrite"]);
-        succeeded(&ran);
-        near(&image, &DRONE);
-        near(&sample.path(vrt), &TURNED);
-        let said = String::from_utf8_lossy(&ran.stdout);
-        assert!(
-            said.contains("GDAL and QGIS do not take")
-                && said.contains(&format!("open {}", sample.path(vrt).display())),
-            "{said}"
-        );
-    }
+    let (driver, name, vrt) = ("HFA", "a.img", "a.vrt");
+    let sample = Sample::new(TURNED);
+    translated(&sample, driver, name);
+    let image = sample.path(name);
+    // The driver of HFA writes an .aux.xml of its own.
+    let ran = sample.apply(&[image.to_str().expect("plain"), "--overwrite"]);
+    succeeded(&ran);
+    near(&image, &DRONE);
+    near(&sample.path(vrt), &TURNED);
+    let said = String::from_utf8_lossy(&ran.stdout);
+    assert!(
+        said.contains("GDAL and QGIS do not take") && said.contains(&format!("open {}", sample.path(vrt).display())),
+        "{said}"
+    );
 }
 
 /// GDAL reads the tags of a TIFF before a world file.
