@@ -8,10 +8,10 @@ const APPENDED: &[&str] = &[".aux.xml", ".ovr", ".msk"];
 const WORLD: &[&str] = &["tfw", "jgw", "pgw", "wld", "tifw"];
 /// A shapefile is all of these.
 const OF_SHAPES: &[&str] = &["dbf", "shx", "prj", "cpg", "qix", "sbn", "sbx", "idm", "ind", "qpj"];
-/// Ends that follow the name of an SQLite database; one that is left from another would be played into it.
-const OF_DATABASES: &[&str] = &["-wal", "-shm", "-journal"];
 /// Of these, what no other format has: indexes and the letters of the table.
 const OF_SHAPES_ALONE: &[&str] = &["cpg", "qix", "sbn", "sbx", "qpj"];
+/// Ends that follow the name of an SQLite database; one that is left from another would be played into it.
+const OF_DATABASES: &[&str] = &["-wal", "-shm", "-journal"];
 /// Rasters and tables whose CRS stands in a `.prj` as well.
 const WITH_PROJECTION: &[&str] = &["asc", "bil", "bip", "bsq", "flt", "hdr", "e00", "grd", "tab", "tif", "jpg", "png"];
 
