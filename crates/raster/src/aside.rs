@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
-use crate::parts::temporary_name;
-use crate::sidecars::companions;
+use crate::parts::{BEFORE, leftovers, temporary_name};
+use crate::sidecars::{companions, is_called_companion};
 
 /// Companions of an output under second names, until what replaces it is in place. Dropped before, they come back.
 #[must_use = "the companions come back with it"]
@@ -24,7 +24,7 @@ impl Aside {
         let mut aside = Aside::default();
         for companion in companions(output).into_iter().filter(|companion| !is_written(companion)) {
             let mut second = temporary_name(&companion).into_os_string();
-            second.push(".before");
+            second.push(BEFORE);
             let second = PathBuf::from(second);
             match std::fs::rename(&companion, &second) {
                 Ok(()) => aside.moved.push((companion, second)),
@@ -39,10 +39,19 @@ impl Aside {
     /// The files that they belonged to are replaced.
     pub(crate) fn remove(mut self) {
         for (companion, second) in self.moved.drain(..) {
-            tracing::info!("{} went with the file that it belonged to", companion.display());
+            tracing::warn!("{} was removed with the old file that it belonged to", companion.display());
             // A leftover second name harms nobody; the output itself is good.
             let _ = std::fs::remove_file(second);
         }
+    }
+}
+
+/// Removes second names of `output` and of its companions that runs which are gone left: there is a new output now.
+pub(crate) fn remove_second_names(output: &Path) {
+    let is_of = |was: &Path| was == output || is_called_companion(was, output);
+    for leftover in leftovers(output).filter(|leftover| leftover.was.as_deref().is_some_and(is_of)) {
+        // It may be somebody else's; then it stays.
+        let _ = std::fs::remove_file(leftover.path);
     }
 }
 

@@ -7,12 +7,12 @@ use std::sync::{Mutex, PoisonError};
 pub use crate::aside::refuse_left_behind;
 pub use crate::parts::{Part, abandon};
 
-use crate::aside::Aside;
-use crate::bounded::companions_of;
+use crate::aside::{Aside, remove_second_names};
 use crate::error::{Error, Result};
 use crate::fingerprint::Fingerprint;
-use crate::parts::{Placing, temporary_name};
+use crate::parts::{BEFORE, Placing, leftovers, temporary_name};
 use crate::protected::{refuse_input, refuse_inputs_beside};
+use crate::sidecars::parts_of;
 use crate::written::Written;
 
 /// What this process has put in place, in that order.
@@ -58,30 +58,22 @@ pub fn with_temporary(path: &Path, produce: impl FnOnce(&Path) -> Result<()>) ->
     remove_leftovers(path);
     let temporary = temporary_name(path);
     let _part = Part::of(&temporary);
-    let companions = companions_of(path);
-    companions.iter().try_for_each(|end| refuse_input(&path.with_extension(end)))?;
+    let parts = parts_of(path);
+    parts.iter().try_for_each(|end| refuse_input(&path.with_extension(end)))?;
     let result = watched(&temporary, || produce(&temporary)).and_then(|()| {
-        let _placing = Placing::begin();
-        let made: Vec<_> = companions.iter().filter(|end| temporary.with_extension(end).exists()).collect();
-        let old = Aside::take(path, |beside| made.iter().any(|end| path.with_extension(end) == beside))?;
-        for end in made {
-            let target = path.with_extension(end);
-            std::fs::rename(temporary.with_extension(end), &target)
-                .map_err(|e| Error::io(&target, "put in place", e))?;
+        let mut together = Transaction::new();
+        together.adopt(&temporary, path);
+        for end in parts.iter().filter(|end| temporary.with_extension(end).exists()) {
+            together.adopt(&temporary.with_extension(end), &path.with_extension(end));
         }
-        std::fs::rename(&temporary, path).map_err(|e| Error::io(path, "put in place", e))?;
-        old.remove();
-        Ok(())
+        together.commit()
     });
     if result.is_err() {
         // They may not exist; the first error is the one to report.
         let _ = std::fs::remove_file(&temporary);
-        companions.iter().for_each(|end| {
+        parts.iter().for_each(|end| {
             let _ = std::fs::remove_file(temporary.with_extension(end));
         });
-    } else {
-        complete(path);
-        companions.iter().map(|end| path.with_extension(end)).filter(|p| p.exists()).for_each(|p| complete(&p));
     }
     result.map_err(|error| renamed(error, &[temporary], &[path.to_owned()]))
 }
@@ -138,25 +130,14 @@ fn refuse_special(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Removes part files of the same output whose process has ended without a word.
+/// Removes part files of the same output whose process has ended without a word. Second names of what it was replacing
+/// stay until there is a new output.
 fn remove_leftovers(path: &Path) {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let Ok(entries) = std::fs::read_dir(folder) else { return };
-    for entry in entries.flatten() {
-        let name = entry.file_name().to_string_lossy().into_owned();
-        let Some(rest) = name.strip_prefix(&format!(".{stem}.")) else { continue };
-        let Some((number, end)) = rest.split_once('.') else { continue };
-        // A second name of what was replaced (".before") is not ours to throw away.
-        let part = (end == "part" || end.starts_with("part.")) && !end.ends_with(".before");
-        // Without /proc nobody can say whether the process lives.
-        let ended = Path::new("/proc/self").exists()
-            && number.parse::<u32>().is_ok_and(|id| !Path::new(&format!("/proc/{id}")).exists());
-        if part && ended {
-            // It may be somebody else's; then it stays.
-            let path = entry.path();
-            let _ = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
-        }
+    for leftover in leftovers(path).filter(|leftover| leftover.was.is_none() && leftover.stem == stem) {
+        // It may be somebody else's; then it stays.
+        let path = leftover.path;
+        let _ = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };
     }
 }
 
@@ -227,11 +208,7 @@ impl Transaction {
             }
         }
         let temporaries: Vec<PathBuf> = targets.iter().map(|target| temporary_name(target)).collect();
-        for (target, temporary) in targets.iter().zip(&temporaries) {
-            let (temporary, target) = (temporary.clone(), target.clone());
-            let _part = Part::of(&temporary);
-            self.staged.push(Staged { temporary, target, backup: None, in_place: false, _part });
-        }
+        targets.iter().zip(&temporaries).for_each(|(target, temporary)| self.adopt(temporary, target));
         watched(&temporaries[0], || produce(&temporaries)).map_err(|error| renamed(error, &temporaries, targets))?;
         for (target, temporary) in targets.iter().zip(&temporaries) {
             std::fs::File::open(temporary)
@@ -239,6 +216,13 @@ impl Transaction {
                 .map_err(|e| Error::io(target, "bring to disk", e))?;
         }
         Ok(())
+    }
+
+    /// Takes a file that is made, or will be, under its temporary name.
+    fn adopt(&mut self, temporary: &Path, target: &Path) {
+        let (temporary, target) = (temporary.to_owned(), target.to_owned());
+        let _part = Part::of(&temporary);
+        self.staged.push(Staged { temporary, target, backup: None, in_place: false, _part });
     }
 
     /// The same for bytes.
@@ -279,13 +263,15 @@ impl Transaction {
     /// When the system says no; what was there before is there again then.
     pub fn commit(mut self) -> Result<()> {
         let _placing = Placing::begin();
-        for staged in &mut self.staged {
-            staged.keep_old()?;
+        // A single file comes whole by itself; on a disk without second names keeping the old one would copy it.
+        if self.staged.len() + self.edits.len() > 1 {
+            self.staged.iter_mut().try_for_each(Staged::keep_old)?;
         }
         let is_written = |path: &Path| self.staged.iter().any(|staged| staged.target == path);
         let old = self.staged.iter().map(|staged| Aside::take(&staged.target, is_written));
         let old: Vec<Aside> = old.collect::<Result<_>>()?;
-        for staged in &mut self.staged {
+        // What others belong to was staged before them, and comes after them.
+        for staged in self.staged.iter_mut().rev() {
             std::fs::rename(&staged.temporary, &staged.target)
                 .map_err(|e| Error::io(&staged.target, "put in place", e))?;
             staged.in_place = true;
@@ -306,6 +292,7 @@ impl Transaction {
                 // A leftover second name harms nobody; the output itself is good.
                 let _ = std::fs::remove_file(backup);
             }
+            remove_second_names(&staged.target);
         }
         Ok(())
     }
@@ -318,7 +305,7 @@ impl Staged {
             return Ok(());
         }
         let mut backup = temporary_name(&self.target).into_os_string();
-        backup.push(".before");
+        backup.push(BEFORE);
         let backup = PathBuf::from(backup);
         // A leftover of a crashed run with the same process number.
         let _ = std::fs::remove_file(&backup);
@@ -530,10 +517,41 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let at = |name: &str| folder.path().join(name);
         // No process has this number: it is above the largest.
-        let names = [".a.4999999.part.json", ".a.4999999.part.json.before", ".b.4999999.part.json"];
-        names.iter().for_each(|name| std::fs::write(at(name), "half").expect("writable"));
+        let gone = ".a.4999999.part.json .a.4999999.part.json.before .a.json.4999999.part.ovr.before";
+        let kept = ".b.4999999.part.json .a.4999999.part.tif.before .b.json.4999999.part.ovr.before";
+        let own = format!(".a.{}.part.json.before", std::process::id());
+        let names = || gone.split(' ').chain(kept.split(' ')).chain([own.as_str()]);
+        names().for_each(|name| std::fs::write(at(name), "half").expect("writable"));
+        assert!(with_temporary(&at("a.json"), |_| Err(Error::usage("no", "none"))).is_err());
+        assert!(at(".a.4999999.part.json.before").exists(), "what was replaced can still be had");
         write(&at("a.json"), b"whole").expect("writable");
-        assert_eq!(names.map(|name| at(name).exists()), [false, true, true]);
+        let left: Vec<_> = names().filter(|name| at(name).exists()).collect();
+        assert_eq!(left.join(" "), format!("{kept} {own}"));
+    }
+
+    #[test]
+    fn a_shapefile_comes_whole_or_the_old_one_stays_whole() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let at = |name: &str| folder.path().join(name);
+        let ends = ["shp", "shx", "dbf"];
+        let make = |temporary: &Path| {
+            for end in ends {
+                std::fs::write(temporary.with_extension(end), "new").map_err(|e| Error::io(temporary, "write", e))?;
+            }
+            Ok(())
+        };
+        ends.iter().for_each(|end| std::fs::write(at("a").with_extension(end), "old").expect("writable"));
+        // The table cannot be put in place.
+        std::fs::remove_file(at("a.dbf")).expect("there");
+        std::fs::create_dir_all(at("a.dbf/full")).expect("a folder");
+        let read = |end: &str| std::fs::read_to_string(at("a").with_extension(end)).expect("there");
+        assert!(with_temporary(&at("a.shp"), make).is_err());
+        assert_eq!([read("shp"), read("shx")], ["old", "old"]);
+        assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 3, "parts were left");
+        std::fs::remove_dir_all(at("a.dbf")).expect("there");
+        with_temporary(&at("a.shp"), make).expect("written");
+        assert_eq!(ends.map(read), ["new"; 3]);
+        assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 3, "second names were left");
     }
 
     #[test]

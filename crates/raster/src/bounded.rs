@@ -5,6 +5,7 @@ use std::io::Read;
 use std::path::Path;
 
 use crate::error::{Error, Result};
+use crate::sidecars::parts_of;
 
 /// What a text that people write by hand may have: profiles, patches, tables of errors, descriptions of cameras.
 pub const TEXT_BYTES: u64 = 16 << 20;
@@ -55,22 +56,14 @@ pub fn read_to_string(path: &Path, what: &str, most_bytes: u64) -> Result<String
 /// # Errors
 /// [`Error::Unsupported`].
 pub fn refuse_endless(path: &Path) -> Result<()> {
-    let companions = companions_of(path).iter().map(|end| path.with_extension(end));
-    for file in std::iter::once(path.to_path_buf()).chain(companions) {
+    let parts = parts_of(path).iter().map(|end| path.with_extension(end));
+    for file in std::iter::once(path.to_path_buf()).chain(parts) {
         if std::fs::metadata(&file).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
             let what = "a pipe or a device in place of a file";
             return Err(Error::unsupported(&file, what, "save what comes out of it as a file and name that"));
         }
     }
     Ok(())
-}
-
-/// Ends of the files without which a file of this ending cannot be read: those of a Shapefile.
-pub(crate) fn companions_of(path: &Path) -> &'static [&'static str] {
-    match path.extension() {
-        Some(end) if end.eq_ignore_ascii_case("shp") => &["shx", "dbf", "prj", "cpg"],
-        _ => &[],
-    }
 }
 
 #[cfg(test)]

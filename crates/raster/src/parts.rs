@@ -18,6 +18,36 @@ pub(crate) fn temporary_name(path: &Path) -> PathBuf {
     path.with_file_name(format!(".{stem}.{}.part{extension}", std::process::id()))
 }
 
+/// What a process that has ended without a word left beside an output.
+pub(crate) struct Leftover {
+    pub(crate) path: PathBuf,
+    /// Of the file that it was to be, or was.
+    pub(crate) stem: String,
+    /// The file of which it is a second name, where it is no part.
+    pub(crate) was: Option<PathBuf>,
+}
+
+/// The end of second names.
+pub(crate) const BEFORE: &str = ".before";
+
+/// What processes that are gone left in the folder of `output`.
+pub(crate) fn leftovers(output: &Path) -> impl Iterator<Item = Leftover> {
+    let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::read_dir(folder).into_iter().flatten().flatten().filter_map(|entry| {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let (stem, end) = name.strip_prefix('.')?.rsplit_once(".part")?;
+        let (stem, process) = stem.rsplit_once('.')?;
+        if !(end.is_empty() || end.starts_with('.')) {
+            return None;
+        }
+        let was = end.strip_suffix(BEFORE).map(|end| output.with_file_name(format!("{stem}{end}")));
+        // Without /proc nobody can say whether the process lives.
+        let has_ended = Path::new("/proc/self").exists()
+            && process.parse::<u32>().is_ok_and(|id| !Path::new(&format!("/proc/{id}")).exists());
+        has_ended.then(|| Leftover { path: entry.path(), stem: stem.to_string(), was })
+    })
+}
+
 const PAUSE: Duration = Duration::from_millis(5);
 
 /// A file or folder under a temporary name, from before it is made until it is in place or gone: a run that is told to
@@ -90,7 +120,7 @@ fn remove(part: &Path) {
         let name = entry.file_name().to_string_lossy().into_owned();
         // A second name of what is being replaced is kept.
         let is_part = name.strip_prefix(stem.as_ref()).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
-        if is_part && !name.ends_with(".before") {
+        if is_part && !name.ends_with(BEFORE) {
             let path = entry.path();
             // What cannot be removed stays, as after a kill.
             let _ = if path.is_dir() { std::fs::remove_dir_all(path) } else { std::fs::remove_file(path) };

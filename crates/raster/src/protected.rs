@@ -104,8 +104,8 @@ pub fn refuse_inputs_beside(output: &Path) -> Result<()> {
     }
     follow();
     let inputs = INPUTS.lock().unwrap_or_else(PoisonError::into_inner);
-    let belongs = |companion: &Path, input: &Input| {
-        let is_input = std::fs::metadata(companion).is_ok_and(|f| (f.dev(), f.ino()) == (input.device, input.inode));
+    let belongs = |companion: &Path, found: Option<(u64, u64)>, input: &Input| {
+        let is_input = found == Some((input.device, input.inode));
         // There may be thousands of inputs; few are called so.
         let name = companion.file_name().unwrap_or_default().as_encoded_bytes();
         let alike = || name.starts_with(input.path.file_stem().unwrap_or_default().as_encoded_bytes());
@@ -113,7 +113,8 @@ pub fn refuse_inputs_beside(output: &Path) -> Result<()> {
         (is_input && input.is_in_place()) || (alike() && is_own())
     };
     for companion in beside {
-        if let Some(input) = inputs.iter().find(|input| belongs(&companion, input)) {
+        let found = std::fs::metadata(&companion).ok().map(|found| (found.dev(), found.ino()));
+        if let Some(input) = inputs.iter().find(|input| belongs(&companion, found, input)) {
             let whose = if same_file(&companion, &input.path) {
                 "an input of this command".to_string()
             } else {

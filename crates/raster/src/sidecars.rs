@@ -19,8 +19,19 @@ const WITH_PROJECTION: &[&str] = &["asc", "bil", "bip", "bsq", "flt", "hdr", "e0
 pub fn sidecars(input: &Path) -> Vec<PathBuf> {
     let shapes = extension(input) == "shp";
     let ends = WORLD.iter().chain(if shapes { OF_SHAPES } else { &[] });
-    let appended = APPENDED.iter().chain(&[".msk.ovr"]).map(|end| appended(input, end));
-    appended.chain(ends.map(|end| input.with_extension(end))).filter(|name| name != input).collect()
+    let appended = either_case(APPENDED.iter().chain(&[".msk.ovr"])).map(|end| appended(input, &end));
+    appended.chain(either_case(ends).map(|end| input.with_extension(end))).filter(|name| name != input).collect()
+}
+
+/// Whether `name` is that of a companion of `file`, by the ends that follow the name of any raster.
+pub(crate) fn is_called_companion(name: &Path, file: &Path) -> bool {
+    let rest = name.as_os_str().as_encoded_bytes().strip_prefix(file.as_os_str().as_encoded_bytes());
+    rest.is_some_and(|rest| either_case(APPENDED).any(|end| rest.starts_with(end.as_bytes())))
+}
+
+/// Ends of the files without which a file of this ending cannot be read: those of a shapefile.
+pub(crate) fn parts_of(path: &Path) -> &'static [&'static str] {
+    if extension(path) == "shp" { &["shx", "dbf", "prj", "cpg"] } else { &[] }
 }
 
 /// Files beside `file`, whether it is there itself or not, through which GDAL would read it and which are no other
