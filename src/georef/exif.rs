@@ -72,8 +72,9 @@ impl Place {
             Coordinate { x: map.easting, y: map.northing, height: None }
         });
         let datum_m = match to_wgs84(crs, &mut points, self.worst_accuracy_m)? {
-            Accuracy::Metres(metres) => metres,
-            Accuracy::Exact | Accuracy::Unstated => 0.0,
+            Accuracy::Exact => Some(0.0),
+            Accuracy::Metres(metres) => Some(metres),
+            Accuracy::Unstated => None,
         };
         let [middle, top] = points;
         // Degrees of longitude in those of latitude, by the ellipsoid's two radii of curvature.
@@ -93,8 +94,10 @@ impl Place {
             rationals(17, vec![[(direction_deg * 1e4).round() as u32 % 3_600_000, 10_000]]),
             reference(18, b"WGS-84"),
         ];
-        let millimetres = |e: f64| ((e + datum_m) * 1e3).ceil().min(4e9) as u32;
-        tags.extend(self.error_95_m.map(|e| rationals(31, vec![[millimetres(e), 1000]])));
+        // An error without the part that nobody states would be too small.
+        let error_m = self.error_95_m.zip(datum_m).map(|(error, datum)| error + datum);
+        let millimetres = |e: f64| (e * 1e3).ceil().min(4e9) as u32;
+        tags.extend(error_m.map(|e| rationals(31, vec![[millimetres(e), 1000]])));
         Ok(Some(tags))
     }
 }
