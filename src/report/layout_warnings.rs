@@ -4,6 +4,8 @@ use autoref_raster::coords::PixelPoint;
 use autoref_solve::Solution;
 use autoref_solve::accuracy::ErrorModel;
 
+use crate::result::Misfit;
+
 /// Marks within this part of their extent from a line count as on it.
 const ON_LINE: f64 = 0.02;
 /// Lines are sought among this many marks at most; of more, some always lie apart.
@@ -14,26 +16,32 @@ const GROWTH: f64 = 2.5;
 const LEAST_PX: f64 = 0.1;
 
 /// What the places of the marks mean for the corners of the image: marks on one line, marks in one part of it.
-/// `errors` are those of what is written.
+/// `errors` are those of what is written, `misfit` what they do not know of.
 pub fn plain_warnings(
     solution: &Solution,
     errors: &ErrorModel,
+    misfit: Option<&Misfit>,
     marks: &[PixelPoint],
     size_px: (f64, f64),
 ) -> Vec<String> {
     let on_line = largest_line(marks);
     let lined = marks.len() >= 3 && on_line >= 3 && on_line + 1 >= marks.len();
-    let Some((amid, worst, direction)) = corner_error(solution, errors, size_px) else { return Vec::new() };
+    let Some(Growth { amid_m, worst_m, corner, direction }) = growth(solution, errors, size_px) else {
+        return Vec::new();
+    };
+    let stated = |expected_m: f64, place: PixelPoint| {
+        ground(misfit.map_or(expected_m, |misfit| misfit.with_m(expected_m, place, solution.scale_m_per_px)))
+    };
     let growth = format!(
         "the expected error (95 %) grows from {} amid the marks to {} in the {direction} corner",
-        ground(amid),
-        ground(worst)
+        stated(amid_m, solution.centre),
+        stated(worst_m, corner)
     );
     if lined {
         let share = if on_line == marks.len() { "all".into() } else { format!("{on_line} of") };
         return vec![format!("{share} {} marks lie on one line: {growth}", marks.len())];
     }
-    if worst > GROWTH * amid && worst > LEAST_PX * solution.scale_m_per_px {
+    if worst_m > GROWTH * amid_m && worst_m > LEAST_PX * solution.scale_m_per_px {
         return vec![format!("the marks cover only a part of the image: {growth}")];
     }
     Vec::new()
@@ -48,15 +56,24 @@ fn ground(value_m: f64) -> String {
     }
 }
 
-/// Radius of 95 % amid the marks, in the worst corner, and which corner that is on the map. `None` where there is no
-/// noise.
-fn corner_error(solution: &Solution, errors: &ErrorModel, size_px: (f64, f64)) -> Option<(f64, f64, String)> {
-    let amid = errors.at(solution.centre).transform_95_m;
+/// Radii of 95 % of the fit alone.
+struct Growth {
+    amid_m: f64,
+    worst_m: f64,
+    /// Where it is worst, and which corner that is on the map.
+    corner: PixelPoint,
+    direction: String,
+}
+
+/// From amid the marks to the worst corner. `None` where there is no noise.
+fn growth(solution: &Solution, errors: &ErrorModel, size_px: (f64, f64)) -> Option<Growth> {
+    let amid_m = errors.at(solution.centre).transform_95_m;
     let worst = errors
         .corners(&solution.similarity, size_px)
         .into_iter()
         .max_by(|a, b| a.expected.transform_95_m.total_cmp(&b.expected.transform_95_m))?;
-    (amid > 0.0).then_some((amid, worst.expected.transform_95_m, worst.direction))
+    let (worst_m, corner) = (worst.expected.transform_95_m, worst.corner.place(size_px));
+    (amid_m > 0.0).then_some(Growth { amid_m, worst_m, corner, direction: worst.direction })
 }
 
 /// How many marks lie on one line.
@@ -89,7 +106,7 @@ mod tests {
 
     fn told(solution: &Solution, marks: &[PixelPoint], side_px: f64) -> Vec<String> {
         ErrorModel::new(solution)
-            .map_or_else(Vec::new, |errors| plain_warnings(solution, &errors, marks, (side_px, side_px)))
+            .map_or_else(Vec::new, |errors| plain_warnings(solution, &errors, None, marks, (side_px, side_px)))
     }
 
     fn solved(places: &[(f64, f64)]) -> (Solution, Vec<PixelPoint>) {
@@ -113,9 +130,13 @@ mod tests {
         assert_eq!(warnings.len(), 1);
         assert!(warnings[0].starts_with("3 of 4 marks lie on one line"), "{warnings:?}");
         assert!(warnings[0].ends_with("in the north-west corner"), "{warnings:?}");
-        let worst = corner_error(&solution, &ErrorModel::new(&solution).expect("redundant"), (1000.0, 1000.0))
-            .expect("redundant")
-            .1;
+        let errors = ErrorModel::new(&solution).expect("redundant");
+        let worst = growth(&solution, &errors, (1000.0, 1000.0)).expect("noise").worst_m;
+        // What the fit does not know of is in the words.
+        let off = Misfit::Unlike { off_px: 20.0 };
+        let with = plain_warnings(&solution, &errors, Some(&off), &marks, (1000.0, 1000.0));
+        let stated_m = worst.hypot(20.0 * solution.scale_m_per_px);
+        assert!(with[0].contains(&format!(" to {} in the north-west", ground(stated_m))), "{with:?}");
         // ν = 4: √(4·(0.05^(−1/2) − 1)) = 3.726734.
         assert!((worst - 3.726_734 * solution.sigma_at_m(PixelPoint { x: 0.0, y: 0.0 })).abs() < 1e-6 * worst);
     }

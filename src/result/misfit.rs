@@ -106,6 +106,16 @@ impl Misfit {
         }
     }
 
+    /// An expected error of the fit alone at `pixel`, with what the fit does not know.
+    pub fn with_m(&self, expected_m: f64, pixel: PixelPoint, scale_m_per_px: f64) -> f64 {
+        let beyond_m = self.beyond_px(pixel, scale_m_per_px) * scale_m_per_px;
+        match self {
+            // A bend is there for certain; its own noise is what the residuals show.
+            Misfit::Departs { .. } => expected_m + beyond_m,
+            _ => expected_m.hypot(beyond_m),
+        }
+    }
+
     /// One line for the verdict of a run that was solved.
     pub fn verdict(&self) -> String {
         format!("solved, but {}", self.clause())

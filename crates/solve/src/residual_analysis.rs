@@ -4,7 +4,9 @@
 //! the sample and the p-value of R. B. D'Agostino and M. A. Stephens, "Goodness-of-fit techniques", 1986, table 4.9: it
 //! sees the tails, which the test of Kolmogorov and Smirnov hardly does. Directions by Lord Rayleigh's test for a
 //! favoured direction, with the p-value of J. H. Zar, "Biostatistical analysis", 1999, eq. 27.4. Intervals of
-//! correlations by R. A. Fisher's z, 95 %.
+//! correlations by R. A. Fisher's z, 95 %. Whether residuals lie along the lines to the centre by the mean of cos 2δ, δ
+//! the angle between residual and line: the angle doubled, out and in are one (K. V. Mardia, P. E. Jupp, "Directional
+//! statistics", 2000, sections 1.1 and 6.3: the V test; of n chance directions the mean has a variance of 1/2n).
 
 use autoref_raster::normal;
 use serde::Serialize;
@@ -83,6 +85,19 @@ pub struct Directions {
     pub sectors: [usize; SECTORS],
     /// The direction they favour.
     pub favoured: Option<Favoured>,
+    /// How they lie to the lines from the centre.
+    pub radial: Option<Radial>,
+}
+
+/// Whether residuals lie along the lines from the centre to their points.
+#[derive(Debug, Serialize)]
+pub struct Radial {
+    /// The mean of cos 2δ, δ between residual and line: 1 all along (out or in), −1 all across.
+    pub mean: f64,
+    /// Chance directions lie within ± this 95 times in 100.
+    pub chance_95: f64,
+    /// Residuals.
+    pub n: usize,
 }
 
 /// The mean direction, and whether it is more than chance.
@@ -171,13 +186,24 @@ pub fn analyse(residuals: &[Residual], tail_cut: f64) -> Analysis {
         easting: component(&values(&|r| Some(r.e_m))),
         northing: component(&values(&|r| Some(r.n_m))),
         height: (!in_space.is_empty()).then(|| component(&in_space)),
-        directions: Directions { sectors: sectors(&angles), favoured: favoured(&angles) },
+        directions: Directions { sectors: sectors(&angles), favoured: favoured(&angles), radial: radial(&directions) },
         correlations: Correlations {
             magnitude_distance_2d: correlation(&pairs_without_tails(&plan, tail_cut)),
             magnitude_distance_3d: correlation(&pairs_without_tails(&space, tail_cut)),
             direction_outward: correlation(&directions),
         },
     }
+}
+
+/// Of directions of residuals and from the centre, radians.
+fn radial(directions: &[[f64; 2]]) -> Option<Radial> {
+    let n = directions.len();
+    if n < FEWEST {
+        return None;
+    }
+    let count = n as f64;
+    let mean = directions.iter().map(|[residual, line]| (2.0 * (residual - line)).cos()).sum::<f64>() / count;
+    Some(Radial { mean, chance_95: 1.96 / (2.0 * count).sqrt(), n })
 }
 
 fn cut(len: usize, share: f64) -> usize {
@@ -303,20 +329,36 @@ mod tests {
 
     #[test]
     fn what_grows_outwards_is_seen_and_tails_are_cut() {
-        let radial: Vec<Residual> = (0..24)
+        let grown: Vec<Residual> = (0..24)
             .map(|i| {
                 let (angle, radius) = (f64::from(i) * 0.9, 10.0 + f64::from(i * 7 % 24));
                 let at = [radius * f64::cos(angle), radius * f64::sin(angle)];
                 Residual { position: at, height_m: None, e_m: at[0] / 1e3, n_m: at[1] / 1e3, h_m: None }
             })
             .collect();
-        let analysis = analyse(&radial, 0.0);
+        let analysis = analyse(&grown, 0.0);
         assert!(analysis.correlations.magnitude_distance_2d.as_ref().expect("enough points").r > 0.9);
         assert!(analysis.height.is_none());
         let json = serde_json::to_string(&analysis.directions.favoured).expect("plain data");
         assert!(json.starts_with(r#"{"test":"Rayleigh","direction_deg":"#), "{json}");
         let counts = |a: &Analysis| -> usize { a.easting.histogram.as_ref().expect("bins").counts.iter().sum() };
-        assert_eq!((counts(&analysis), counts(&analyse(&radial, 0.1))), (24, 20));
+        assert_eq!((counts(&analysis), counts(&analyse(&grown, 0.1))), (24, 20));
+        let radial = |a: &Analysis| {
+            let Radial { mean, chance_95, .. } = *a.directions.radial.as_ref().expect("enough points");
+            (mean.abs() > chance_95).then_some(mean.signum())
+        };
+        assert_eq!(radial(&analysis), Some(1.0));
+        let turned = |of: &dyn Fn(&Residual) -> [f64; 2]| -> Analysis {
+            let with = |r: &Residual| {
+                let [e_m, n_m] = of(r);
+                Residual { position: r.position, height_m: None, e_m, n_m, h_m: None }
+            };
+            analyse(&grown.iter().map(with).collect::<Vec<_>>(), 0.0)
+        };
+        // In is as radial as out, a turn is across, and a stretch is neither.
+        assert_eq!(radial(&turned(&|r| [-r.e_m, -r.n_m])), Some(1.0));
+        assert_eq!(radial(&turned(&|r| [-r.n_m, r.e_m])), Some(-1.0));
+        assert_eq!(radial(&turned(&|r| [r.e_m, -r.n_m])), None);
         let all: usize = sectors(&[-3.2, 3.2, 0.0, 1.0]).iter().sum();
         assert_eq!(all, 4);
     }

@@ -11,6 +11,8 @@ use autoref_stream::pipeline::reasons::Reason;
 use autoref_stream::result::{ChosenModel, MatchRow, Misfit, RunResult, SolvedRun, Warning};
 use clap::Args;
 
+use crate::cli::lengths::length;
+
 /// Survey errors and the statement.
 #[derive(Args, Debug, Clone, Default)]
 pub struct AccuracyArgs {
@@ -79,12 +81,8 @@ pub fn state(result: &mut RunResult, list: &GcpList, args: &AccuracyArgs, size_p
     if let (Some(misfit), Some(solved)) = (&misfit, result.solved_mut()) {
         let scale_m_per_px = solved.fit.scale_m_per_px;
         for corner in &mut solved.expected_errors {
-            let beyond_m = misfit.beyond_px(corner.corner.place(size_px), scale_m_per_px) * scale_m_per_px;
-            let with = |expected_m: f64| match misfit {
-                // A bend is there for certain; its own noise is what the residuals show.
-                Misfit::Departs { .. } => expected_m + beyond_m,
-                _ => expected_m.hypot(beyond_m),
-            };
+            let place = corner.corner.place(size_px);
+            let with = |expected_m: f64| misfit.with_m(expected_m, place, scale_m_per_px);
             let expected = &mut corner.expected;
             (expected.transform_95_m, expected.point_95_m) = (with(expected.transform_95_m), with(expected.point_95_m));
         }
@@ -137,17 +135,16 @@ fn untested(solved: &SolvedRun, list: &GcpList) -> Option<String> {
 /// The lines of the summary.
 pub fn lines(solved: &SolvedRun, line: &mut impl FnMut(&str, String)) {
     let Some(statement) = &solved.accuracy else { return };
-    let cm = |metres: f64| format!("{:.1} cm", 100.0 * metres);
     if let Some(h) = &statement.figures.horizontal {
         let survey = h
             .rmse_h2_m
-            .map_or(String::new(), |s| format!(", with the survey's own {} RMSE_H {}", cm(s), cm(h.rmse_h_m)));
-        line("Check points", format!("{} kept out of the fit, RMSE {}{survey}", h.check_points, cm(h.rmse_h1_m)));
+            .map_or(String::new(), |s| format!(", with the survey's own {} RMSE_H {}", length(s), length(h.rmse_h_m)));
+        line("Check points", format!("{} kept out of the fit, RMSE {}{survey}", h.check_points, length(h.rmse_h1_m)));
     }
     let by_size = |a: &&CornerError, b: &&CornerError| a.expected.point_95_m.total_cmp(&b.expected.point_95_m);
     let corners = solved.expected_errors.iter();
     if let (Some(best), Some(worst)) = (corners.clone().min_by(by_size), corners.max_by(by_size)) {
-        let at = |c: &CornerError| format!("{} in the {} corner", cm(c.expected.point_95_m), c.direction);
+        let at = |c: &CornerError| format!("{} in the {} corner", length(c.expected.point_95_m), c.direction);
         line("Expected error", format!("of a point, 95 %: {}, {}", at(best), at(worst)));
     }
     for sentence in &statement.sentences {

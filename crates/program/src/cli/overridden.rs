@@ -3,6 +3,10 @@
 use autoref_raster::coords::{GeoTransform, PixelPoint};
 use autoref_stream::georef::shown::Found;
 
+use crate::cli::lengths::length;
+
+/// Less is no change to anybody.
+const LEAST_M: f64 = 1e-4;
 const OVERRIDDEN: &str = "the image's own georeference is overridden";
 
 /// How far a new georeference moves an image, and how it turns and stretches it.
@@ -33,7 +37,11 @@ impl Overridden {
     pub fn note(&self, found: &Found) -> String {
         let how = if self.how.is_empty() { String::new() } else { format!(" ({})", self.how.join(", ")) };
         let (corners_m, centre_m) = (self.corner_moved_m, self.centre_moved_m);
-        let moves = format!("corners move by up to {corners_m:.3} m, its centre by {centre_m:.3} m{how}");
+        let moves = if corners_m < LEAST_M {
+            format!("corners move by less than {}{how}", length(LEAST_M))
+        } else {
+            format!("corners move by up to {}, its centre by {}{how}", length(corners_m), length(centre_m))
+        };
         match found {
             Found::InImage => format!("{OVERRIDDEN}; its {moves}"),
             Found::In(_) | Found::Nowhere => {

@@ -17,7 +17,7 @@ use autoref_stream::pipeline::georeference::Outcome;
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
 use autoref_stream::replay::{Replayed, replay};
 use autoref_stream::report;
-use autoref_stream::result::{RunResult, Warning};
+use autoref_stream::result::{Misfit, RunResult, Warning};
 
 use crate::cli::accuracy;
 use crate::cli::args::SolveArgs;
@@ -78,7 +78,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     {
         let marks: Vec<PixelPoint> = solved.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
         let size_px = (image.width as f64, image.height as f64);
-        let notes = report::plain_warnings(solution, &errors, &marks, size_px);
+        let notes = report::plain_warnings(solution, &errors, Misfit::of(result).as_ref(), &marks, size_px);
         result.warnings.extend(notes.into_iter().map(Warning::Said));
     }
     let edits = counted(patch.edits.len(), "edit", "edits");

@@ -13,7 +13,7 @@ use autoref_stream::detector::Detector;
 use autoref_stream::pipeline::Progress;
 use autoref_stream::pipeline::heights::{HeightResult, HeightRow};
 use autoref_stream::report::{self, Gathered, HeightArrow, KeptPixels, Overview, Section, Table};
-use autoref_stream::result::{MatchRow, RunResult, SolvedRun, Warning};
+use autoref_stream::result::{MatchRow, Misfit, RunResult, SolvedRun, Warning};
 use clap::Args;
 
 use crate::cli::accuracy;
@@ -60,7 +60,7 @@ impl<'a> Watch<'a> {
             let marks: Vec<PixelPoint> = solved.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
             let info = self.source.info();
             let size_px = (info.width as f64, info.height as f64);
-            let words = report::plain_warnings(solution, &errors, &marks, size_px);
+            let words = report::plain_warnings(solution, &errors, Misfit::of(result).as_ref(), &marks, size_px);
             result.warnings.extend(words.into_iter().map(Warning::Said));
         }
         let Some((overview, kept)) = &self.pictures else { return Ok(None) };
@@ -195,6 +195,16 @@ fn test_rows(analysis: &Analysis) -> Vec<Vec<String>> {
             meaning,
         ]);
     }
+    if let Some(radial) = &analysis.directions.radial {
+        // With the p-value of a mean of so many chance directions, which is nearly normal.
+        let p = 2.0 * autoref_raster::normal::below(-radial.mean.abs() * (2.0 * radial.n as f64).sqrt());
+        let meaning = match (p < 0.05, radial.mean > 0.0) {
+            (false, _) => "neither along nor across the lines from the centre",
+            (true, true) => "along the lines from the centre: bend or lens",
+            (true, false) => "across the lines from the centre: a turn that grows or lessens outwards",
+        };
+        tests.push(vec!["Radial (mean of cos 2δ)".into(), number(radial.mean, 3), number(p, 3), meaning.into()]);
+    }
     tests
 }
 
@@ -204,7 +214,6 @@ fn correlation_rows(found: &Correlations) -> Vec<Vec<String>> {
     for (name, correlation, meaning) in [
         ("Length and distance from the centre", &found.magnitude_distance_2d, "residuals grow outwards: scale or bend"),
         ("The same in space", &found.magnitude_distance_3d, "residuals grow outwards in space"),
-        ("Direction and direction from the centre", &found.direction_outward, "residuals point outwards or inwards"),
     ] {
         let known = correlation.as_ref().filter(|c| c.low_95.is_finite() && c.high_95.is_finite());
         if let Some(&Correlation { r, low_95: low, high_95: high, .. }) = known {

@@ -364,9 +364,9 @@ fn horizontal_reservations(checks: &[CheckError], h: &Horizontal) -> Vec<String>
     let shift = h.mean_e_m.abs().max(h.mean_n_m.abs());
     if shift > 0.25 * h.class_m {
         out.push(format!(
-            "The mean error (E {:+.1} cm, N {:+.1} cm) exceeds a quarter of the class: look for a shift between datums or surveys",
-            100.0 * h.mean_e_m,
-            100.0 * h.mean_n_m
+            "The mean error (E {} cm, N {} cm) exceeds a quarter of the class: look for a shift between datums or surveys",
+            signed_cm(h.mean_e_m),
+            signed_cm(h.mean_n_m)
         ));
     }
     let blunders: Vec<&str> =
@@ -429,6 +429,11 @@ fn class_cm(metres: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_string()
 }
 
+fn signed_cm(metres: f64) -> String {
+    format!("{}{}", if metres < 0.0 { "-" } else { "+" }, value_cm(metres.abs()))
+}
+
+/// To a millimetre; below a centimetre to a tenth of one.
 fn value_cm(metres: f64) -> String {
-    format!("{:.1}", 100.0 * metres)
+    format!("{:.*}", if metres.abs() < 0.01 { 2 } else { 1 }, 100.0 * metres)
 }
