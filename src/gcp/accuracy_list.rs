@@ -35,6 +35,7 @@ struct Row {
 pub(super) fn apply(path: &Path, gcps: &mut [Gcp]) -> Result<Vec<String>> {
     let bytes = bounded::read(path, "a table of errors", bounded::TEXT_BYTES)?;
     let text = text::decode(&bytes).ok_or_else(|| Error::format(path, "row 1", "is no table of text"))?;
+    text::refuse_long_rows(path, &text)?;
     let rows = parse(path, &text)?;
     let mut unknown = Vec::new();
     let mut named = std::collections::HashSet::new();

@@ -28,6 +28,10 @@ pub(super) fn parse(path: &Path, layer: Option<&str>, from: Option<ListFormat>) 
         refuse_many(path)?;
         let bytes = bounded::read(path, "a list of points", LARGEST_LIST_BYTES)?;
         if let Some(text) = text::decode(&bytes) {
+            // JSON and XML need no lines.
+            if !text.trim_start().starts_with(['{', '[', '<']) {
+                text::refuse_long_rows(path, &text)?;
+            }
             let format = from.unwrap_or_else(|| recognised(path, &text));
             if format.is_text() {
                 return Ok((parse_as(path, &text, format)?, format));

@@ -282,6 +282,25 @@ pub(super) fn refuse_more_cells(
     Err(Error::format(path, line.place(), what))
 }
 
+/// Rows of a table are short: titles are compared with every word of every language.
+const LONGEST_ROW_BYTES: usize = 1 << 15;
+
+/// Refuses rows that no table of points has.
+///
+/// # Errors
+/// [`Error::Limit`] naming the row.
+pub(super) fn refuse_long_rows(path: &Path, text: &str) -> Result<()> {
+    match text.lines().enumerate().find(|(_, line)| line.len() > LONGEST_ROW_BYTES) {
+        None => Ok(()),
+        Some((at, line)) => Err(Error::Limit {
+            what: format!("{}: bytes in row {} of a table", path.display(), at + 1),
+            needed: line.len() as u64,
+            allowed: LONGEST_ROW_BYTES as u64,
+            remedy: "give a list with a row for each point".into(),
+        }),
+    }
+}
+
 /// Lists are small; what is larger is another file.
 pub(super) const LARGEST_LIST_BYTES: u64 = 32 << 20;
 

@@ -257,6 +257,8 @@ fn what_an_input_refers_to_is_never_written_over() {
     for (name, x0) in [("s0.tif", 500_000.0), ("s1.tif", 500_000.0), ("s2.tif", 500_100.0), ("s0_r.tif", 500_000.0)] {
         model(&at(name), x0);
     }
+    // GDAL's names for files hold what may stand in a file's own.
+    model(&at("s,3.tif"), 500_000.0);
     virtual_raster(&at("v.vrt"), &["s1.tif", "s2.tif"]);
     virtual_raster(&at("outer.vrt"), &["v.vrt"]);
     virtual_raster(&at("s2_r.vrt"), &["s0_r.tif"]);
@@ -277,6 +279,8 @@ fn what_an_input_refers_to_is_never_written_over() {
         "mosaic s0.tif s2.tif -o i.tif --use-index i.tif",
         "mosaic s0.tif s2.tif -o i.tif --use-index i.vrt",
         "dem slope v.vrt -o s1.tif",
+        "dem slope vrt://s1.tif?bands=1 -o s1.tif",
+        "dem slope GTIFF_DIR:1:s,3.tif -o s,3.tif",
         "dem aspect outer.vrt -o s1.tif",
         "dem hillshade v.vrt -o s2.tif",
         "dem roughness v.vrt -o s1.tif",

@@ -177,6 +177,13 @@ fn endless_and_enormous_inputs_are_refused_at_once() {
     let million: String = (0..1_000_000).map(|i| format!("P{i},{},7032000\n", 570_000 + i % 9000)).collect();
     std::fs::write(dir.join("m.csv"), format!("{TITLES}\n{million}")).expect("room");
     answers(&program(dir, &[&["a.tif", "--gcps", "m.csv"], &ZONE_32[..]].concat()), 2, &["m.csv", "at most 50000"]);
+    std::fs::write(dir.join("wide.csv"), "a,".repeat(1 << 20)).expect("room");
+    answers(&program(dir, &["a.tif", "--gcps", "wide.csv"]), 2, &["wide.csv", "row 1", "a row for each point"]);
+    answers(&program(dir, &["a.tif", "--gcps", "l.csv", "--accuracy", "wide.csv"]), 2, &["wide.csv", "row 1"]);
+    answers(&program(dir, &["a.tif", "--gcps", "l.csv", "--crs", "none.prj"]), 2, &["none.prj: no such file"]);
+    let missing = ["fiducials", "none.tif", "--camera", "wild-15-4", "-o", "film"];
+    answers(&program(dir, &missing), 2, &["none.tif: there is no such file"]);
+    assert!(!dir.join("film").exists());
     let many = (0..2_500).map(|i| (format!("P{i}"), 570_000.0 + f64::from(i), 7_032_000.0 + f64::from(i * i % 977)));
     list(dir, "many.csv", TITLES, many);
     answers(&program(dir, &[&["a.tif", "--gcps", "many.csv"], &ZONE_32[..]].concat()), 2, &["many.csv", "--names"]);

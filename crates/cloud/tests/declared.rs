@@ -360,7 +360,7 @@ fn units_of_heights_reach_the_grid() {
     assert_eq!(report.crs.as_deref(), Some("EPSG:32617+5703"));
     // Codes that are of no heights are passed over.
     assert_eq!(unit(&[(3072, 32_617), (4096, 5030)], "z").1.crs.as_deref(), Some("EPSG:32617"));
-    for (code, expected) in [(9001, "m"), (9002, "ft"), (9003, "US survey foot")] {
+    for (code, expected) in [(9001, "m"), (9002, "ft"), (9003, "US survey foot"), (1025, "mm"), (1033, "cm")] {
         let (name, report, _) = unit(&[(3072, 2229), (4099, code)], "z");
         assert_eq!((name.as_str(), report.notes.len()), (expected, 0));
     }
@@ -368,6 +368,8 @@ fn units_of_heights_reach_the_grid() {
     let (name, report, _) = unit(&[(3072, 2229)], "z");
     assert!(name.is_empty() && report.notes.len() == 1 && report.notes[0].contains("metres"), "{:?}", report.notes);
     assert!(report.unit.to_lowercase().contains("foot"), "{}", report.unit);
+    let (name, report, _) = unit(&[(3072, 32_617), (4099, 9014)], "z");
+    assert!(name.is_empty() && report.notes.iter().any(|note| note.contains("EPSG:9014")), "{:?}", report.notes);
 }
 
 /// A compound system of one part.

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use gdal::spatial_ref::SpatialRef;
 
-use crate::crs::{Accuracy, Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M};
+use crate::crs::{Accuracy, Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M, same_plane};
 use crate::error::{Error, Result};
 use crate::grid::Grid;
 use crate::lift::Lift;
@@ -164,6 +164,9 @@ fn in_turn_of(a: Model, b: &Model) -> Model {
 
 /// Do the map coordinates of a grid stay what they are in the other system?
 fn stays(grid: &Grid, from: &Crs, to: &Crs) -> Result<bool> {
+    if same_plane(from, to) {
+        return Ok(true);
+    }
     let [west, south, east, north] = grid.bounds();
     let (x, y) = grid.centre();
     let places = [(x, y), (west, south), (west, north), (east, south), (east, north)];

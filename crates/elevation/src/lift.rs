@@ -1,6 +1,6 @@
 //! From one vertical datum to another: what is added to a model's heights, by PROJ.
 
-use crate::crs::{Accuracy, Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M};
+use crate::crs::{Accuracy, Coordinate, Crs, DEFAULT_DATUM_ACCURACY_M, same_plane};
 use crate::error::Result;
 use crate::grid::Grid;
 use autoref_raster::bilinear::by_differences;
@@ -95,6 +95,10 @@ impl Lift {
     }
 }
 
+/// Worst accuracy of a change of heights alone that is accepted, metres. Two geoids of the whole Earth (EGM96, EGM2008)
+/// are each good to 1 m by their authority's word: no better is stated between them. The couple names it.
+const HEIGHT_ACCURACY_M: f64 = 2.0;
+
 /// What PROJ adds to heights of `from` to have them in `to`, metres, at places of a grid that lies in `to`: the heights
 /// in `from` of what has none in `to`, with the other sign. With the height itself they change by some millionths of
 /// it.
@@ -103,7 +107,8 @@ fn sample(grid: &Grid, from: &Crs, to: &Crs, places: &[(f64, f64)]) -> Result<(V
         .iter()
         .map(|&(x, y)| Coordinate { x: grid.x0 + x * grid.step_x, y: grid.y0 + y * grid.step_y, height: Some(0.0) })
         .collect();
-    let accuracy = to.transform(&mut points, from, DEFAULT_DATUM_ACCURACY_M)?;
+    let worst_m = if same_plane(from, to) { HEIGHT_ACCURACY_M } else { DEFAULT_DATUM_ACCURACY_M };
+    let accuracy = to.transform(&mut points, from, worst_m)?;
     let metres = from.height_metres_per_unit().unwrap_or(1.0);
     Ok((points.iter().map(|p| -p.height.unwrap_or(0.0) * metres).collect(), accuracy))
 }

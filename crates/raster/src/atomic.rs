@@ -37,13 +37,32 @@ pub fn completed() -> Vec<PathBuf> {
 /// When the system says no, or `path` is an input; nothing is left behind then.
 pub fn write(path: &Path, content: &[u8]) -> Result<()> {
     if is_special(path) {
-        let opened = std::fs::OpenOptions::new().write(true).open(path);
-        return opened.and_then(|mut file| file.write_all(content)).map_err(|e| Error::io(path, "write", e));
+        return open_special(path)
+            .and_then(|mut file| file.write_all(content))
+            .map_err(|e| Error::io(path, "write", e));
     }
     with_temporary(path, |temporary| {
         let mut file = std::fs::File::create(temporary).map_err(|e| Error::io(path, "create", e))?;
         file.write_all(content).and_then(|()| file.sync_all()).map_err(|e| Error::io(path, "write", e))
     })
+}
+
+/// Opens what is no file for writing. Of a FIFO that nobody reads yet it says that it waits.
+fn open_special(path: &Path) -> std::io::Result<std::fs::File> {
+    use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+    use std::os::unix::fs::OpenOptionsExt;
+    let flag = i32::try_from(OFlags::NONBLOCK.bits()).expect("flags of the system are of its C int");
+    match std::fs::OpenOptions::new().write(true).custom_flags(flag).open(path) {
+        Ok(file) => {
+            fcntl_setfl(&file, fcntl_getfl(&file)? - OFlags::NONBLOCK)?;
+            Ok(file)
+        }
+        Err(error) if error.raw_os_error() == Some(rustix::io::Errno::NXIO.raw_os_error()) => {
+            tracing::warn!("{}: waiting for a program that reads from it", path.display());
+            std::fs::OpenOptions::new().write(true).open(path)
+        }
+        Err(error) => Err(error),
+    }
 }
 
 /// Lets `produce` make a file under a temporary name in the same folder, then renames it to `path`. The extension is

@@ -84,7 +84,21 @@ fn files_of(dataset: &Dataset) -> Vec<PathBuf> {
 pub fn inside_name(name: &Path) -> Vec<PathBuf> {
     let bytes = name.as_os_str().as_bytes();
     let path = |part: &[u8]| PathBuf::from(std::ffi::OsString::from_vec(part.to_vec()));
-    let between = bytes.split(|b| b":\"?{},@=".contains(b)).filter(|part| !part.is_empty()).map(path);
+    // A file's own name may hold what cuts names apart, so that all that lies between two cuts is tried; of long names,
+    // which are descriptions in XML, the pieces alone.
+    const MOST_CUTS: usize = 24;
+    let is_cut = |b: &u8| b":\"?{},@=<>;&|'".contains(b);
+    let cuts = bytes.iter().enumerate().filter(|(_, b)| is_cut(b)).map(|(at, _)| at);
+    let ends: Vec<usize> = cuts.chain([bytes.len()]).collect();
+    let reach = if ends.len() > MOST_CUTS { 1 } else { ends.len() };
+    let begins = std::iter::once(0).chain(ends.iter().map(|at| at + 1)).enumerate();
+    let between = begins.flat_map(|(k, begin)| ends.iter().skip(k).take(reach).map(move |&end| (begin, end)));
+    // `vrt://a.tif` names a file of this folder.
+    let of_scheme = |part: &[u8]| part.strip_prefix(b"//").map(<[u8]>::to_vec);
+    let between = between.filter(|(begin, end)| begin < end).flat_map(|(begin, end)| {
+        let part = &bytes[begin..end];
+        [Some(part.to_vec()), of_scheme(part)].into_iter().flatten().map(|part| path(&part))
+    });
     let folded = std::iter::successors(bytes.strip_prefix(b"/vsi"), |rest| {
         rest.iter().position(|b| *b == b'/').map(|at| &rest[at + 1..])
     });
@@ -132,5 +146,18 @@ mod tests {
             assert!(inside_name(Path::new(&text)).contains(&file), "{text}");
         }
         assert!(inside_name(Path::new("EPSG:25833")).is_empty());
+        // Letters that cut names apart may be in a file's own name; relative names follow two slashes.
+        let odd = folder.path().join("a,b=1.tif");
+        std::fs::write(&odd, "II*").expect("writable");
+        let name = odd.display();
+        let xml =
+            format!("<VRTDataset><SourceFilename relativeToVRT=\"0\">{}</SourceFilename></VRTDataset>", file.display());
+        for (text, held) in
+            [(format!("GTIFF_DIR:1:{name}"), &odd), (format!("vrt://{name}?bands=1"), &odd), (xml, &file)]
+        {
+            assert!(inside_name(Path::new(&text)).contains(held), "{text}");
+        }
+        // Tests run in the folder of their crate.
+        assert!(inside_name(Path::new("vrt://Cargo.toml?bands=1")).contains(&PathBuf::from("Cargo.toml")));
     }
 }

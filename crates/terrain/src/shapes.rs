@@ -207,6 +207,13 @@ pub fn read(path: &Path) -> Result<Vec<Shape>> {
     let bytes = bounded::read(path, "a list of outlines", bounded::TEXT_BYTES)?;
     let text = String::from_utf8(bytes)
         .map_err(|_| Error::format(path, "begin", "this is no text; polygons are given as GeoJSON or TOML"))?;
+    if text.trim().is_empty() {
+        return Err(Error::format(
+            path,
+            "begin",
+            "the file is empty; a list without outlines is `{\"type\": \"FeatureCollection\", \"features\": []}`",
+        ));
+    }
     let toml = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"));
     if toml { from_toml(path, &text) } else { from_geojson(path, &text) }
 }
@@ -336,6 +343,20 @@ mod tests {
             ("low_cloud", Meaning::Mask),
         ] {
             assert_eq!(meaning(class), Ok(is), "{class}");
+        }
+    }
+
+    #[test]
+    fn a_file_that_was_not_saved_whole_is_no_empty_list() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for name in ["a.toml", "a.geojson"] {
+            let path = folder.path().join(name);
+            std::fs::write(&path, "\n").expect("writable");
+            assert!(read(&path).is_err_and(|error| error.to_string().contains("is empty")), "{name}");
+            let none =
+                if name.ends_with("toml") { "# none\n" } else { r#"{"type": "FeatureCollection", "features": []}"# };
+            std::fs::write(&path, none).expect("writable");
+            assert!(read(&path).is_ok_and(|shapes| shapes.is_empty()), "{name}");
         }
     }
 

@@ -23,7 +23,7 @@ pub(super) struct Place {
 /// A unit of heights as bands name it.
 fn named(metres: f64) -> Option<&'static str> {
     let is = |other: f64| (metres / other - 1.0).abs() < 1e-9;
-    [(1.0, "m"), (FOOT_M, "ft"), (US_SURVEY_FOOT_M, "US survey foot")]
+    [(1.0, "m"), (FOOT_M, "ft"), (US_SURVEY_FOOT_M, "US survey foot"), (0.01, "cm"), (0.001, "mm"), (1000.0, "km")]
         .into_iter()
         .find_map(|(other, name)| is(other).then_some(name))
 }
@@ -35,12 +35,20 @@ impl Place {
         let crs = text.and_then(|text| Crs::parse(text).ok());
         let unit = io::unit_of(text);
         let axis = crs.as_ref().and_then(Crs::height_metres_per_unit);
-        let height_unit = header.las.as_ref().and_then(io::LasHeader::height_unit).or_else(|| named(axis?));
+        let has_heights = options.dimensions.iter().any(|dimension| dimension.name == "z");
+        let stated = header.las.as_ref().map_or(Ok(None), io::LasHeader::height_unit);
+        if let (Err(code), true) = (stated, has_heights) {
+            notes.push(format!(
+                "heights count in a unit with the code EPSG:{code} (VerticalUnitsGeoKey), which has no name among those of \
+                 bands: `dem` will take those of z for metres"
+            ));
+        }
+        let height_unit = stated.ok().flatten().or_else(|| named(axis?).filter(|_| stated.is_ok()));
         let in_metres = crs.as_ref().is_none_or(|crs| crs.metres_per_unit() == 1.0);
-        if height_unit.is_none() && !in_metres && options.dimensions.iter().any(|dimension| dimension.name == "z") {
+        if height_unit.is_none() && stated.is_ok() && !in_metres && has_heights {
             notes.push(format!(
                 "the map counts in {unit}, and nothing says in what heights count: `dem` will take those of z for \
-                 metres; name their unit with gdal_edit.py -units ft where they are feet"
+                 metres; name their unit with gdal_edit.py -units ft (or -units us-ft) where they are feet"
             ));
         }
         // GeoTIFF has keys for two axes, or for two and heights over a geoid.

@@ -49,12 +49,20 @@ impl LasHeader {
     }
 
     /// The unit of heights as bands of rasters name it: what VerticalUnitsGeoKey says, which no WKT contradicts.
-    pub fn height_unit(&self) -> Option<&'static str> {
-        match self.key(4099)? {
-            9001 => Some("m"),
-            9002 => Some("ft"),
-            9003 => Some("US survey foot"),
-            _ => None,
+    ///
+    /// # Errors
+    /// The key's code, where it names a unit that is not known.
+    pub fn height_unit(&self) -> Result<Option<&'static str>, u16> {
+        match self.key(4099) {
+            // Undefined, or what the file defines itself.
+            None | Some(0 | 32_767) => Ok(None),
+            Some(9001) => Ok(Some("m")),
+            Some(9002) => Ok(Some("ft")),
+            Some(9003) => Ok(Some("US survey foot")),
+            Some(9036) => Ok(Some("km")),
+            Some(1033) => Ok(Some("cm")),
+            Some(1025) => Ok(Some("mm")),
+            Some(code) => Err(code),
         }
     }
 

@@ -16,8 +16,19 @@ pub fn document(error: &anyhow::Error, line: &str) -> Value {
     let (said_file, said_place) = file_and_place(line);
     let file = file.map(|path| path.display().to_string()).or(said_file);
     let place = place.cloned().or(said_place);
-    let remedy = remedy.map(Cow::into_owned).or_else(|| remedy_of(line));
+    let remedy = remedy.map(Cow::into_owned).or_else(|| remedy_of(line)).or_else(|| of_kind(known?));
     json!({"error": {"kind": kind, "file": file, "place": place, "message": line, "remedy": remedy}})
+}
+
+/// What helps against most errors of a kind, where nothing more is known.
+fn of_kind(error: &Error) -> Option<String> {
+    let remedy = match error {
+        Error::Format { .. } => "mend the file at that place, or take another copy",
+        Error::Gdal { .. } => "ask gdalinfo or ogrinfo what the file is, or take another copy",
+        Error::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound => "name a file that is there",
+        _ => return None,
+    };
+    Some(remedy.to_string())
 }
 
 /// Commands that print a line of JSON for each frame.
@@ -81,7 +92,7 @@ fn is_option(word: &str) -> bool {
 
 /// There is such a file, or the word can be nothing but the name of one: it has a folder or an ending.
 fn is_file(word: &str) -> bool {
-    if word.is_empty() || word.starts_with('-') || word.contains("://") {
+    if word.is_empty() || word.starts_with(['-', '`']) || word.contains("://") {
         return false;
     }
     let path = Path::new(word);
@@ -116,9 +127,10 @@ mod tests {
     fn an_error_is_an_object() {
         let error = anyhow::Error::from(Error::format("a.csv", "row 7", "no number")).context("reading the list");
         let said = document(&error, "said");
+        let remedy = "mend the file at that place, or take another copy";
         assert_eq!(
             said,
-            json!({"error": {"kind": "format", "file": "a.csv", "place": "row 7", "message": "said", "remedy": null}})
+            json!({"error": {"kind": "format", "file": "a.csv", "place": "row 7", "message": "said", "remedy": remedy}})
         );
         let usage = document(&Error::usage("an output exists", "give --overwrite").into(), "said");
         assert_eq!((&usage["error"]["kind"], &usage["error"]["remedy"]), (&json!("usage"), &json!("give --overwrite")));

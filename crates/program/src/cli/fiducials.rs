@@ -282,6 +282,11 @@ fn scans(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     let mut all = vec![];
     for path in paths {
         if !path.is_dir() {
+            // GDAL has names for what lies in archives and files.
+            let is_name_of_gdal = path.starts_with("/vsi") || path.to_string_lossy().contains([':', '<']);
+            if !path.exists() && !is_name_of_gdal {
+                bail!("{}: there is no such file; name scans or a folder of them", path.display());
+            }
             all.push(path.clone());
             continue;
         }

@@ -46,6 +46,10 @@ pub fn guard(matches: &ArgMatches) -> Result<(), Error> {
     let (mut inputs, mut outputs) = (Vec::new(), Vec::new());
     gather(matches, &mut inputs, &mut outputs);
     inputs.iter().for_each(|input| protect(input));
+    if let Some(input) = inputs.iter().find(|input| input.to_str().is_none() && is_picture(input)) {
+        let what = format!("{}: its name is no UTF-8, and GDAL cannot be told it", input.display());
+        return Err(Error::usage(what, "rename it"));
+    }
     for (number, output) in outputs.iter().enumerate() {
         writable(output)?;
         if output.is_dir() || output.as_os_str() == "-" {
@@ -109,16 +113,25 @@ fn gather(matches: &ArgMatches, inputs: &mut Vec<PathBuf>, outputs: &mut Vec<Pat
 /// What a command reads of a folder that is named by an argument: rasters and clouds, but no masks, which are written
 /// beside frames; of a reconstruction COLMAP's and MicMac's files.
 fn read_in_folder(argument: &str, folder: &Path) -> Vec<PathBuf> {
-    const PICTURES: &[&str] = &["tif", "tiff", "jpg", "jpeg", "png", "jp2", "vrt", "las", "laz", "ply", "xyz"];
+    const CLOUDS: &[&str] = &["las", "laz", "ply", "xyz"];
     const MODELS: &[&str] = &["txt", "bin", "xml"];
-    let read = if ["reconstruction", "cameras", "camera"].contains(&argument) { MODELS } else { PICTURES };
+    let is_model = ["reconstruction", "cameras", "camera"].contains(&argument);
     let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
     let is_read = |path: &PathBuf| {
-        let end = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-        path.is_file() && read.contains(&end.as_str()) && !stem.ends_with("_Masq") && !stem.starts_with('.')
+        let is_kind = if is_model { ends_in(path, MODELS) } else { is_picture(path) || ends_in(path, CLOUDS) };
+        path.is_file() && is_kind && !stem.ends_with("_Masq") && !stem.starts_with('.')
     };
     entries.flatten().map(|entry| entry.path()).filter(is_read).collect()
+}
+
+fn is_picture(path: &Path) -> bool {
+    ends_in(path, &["tif", "tiff", "jpg", "jpeg", "png", "jp2", "vrt"])
+}
+
+fn ends_in(path: &Path, ends: &[&str]) -> bool {
+    let end = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    ends.contains(&end.as_str())
 }
 
 /// The path in a value; `CLASS=…@FILE` and `FILE=FILE` name theirs at the end.

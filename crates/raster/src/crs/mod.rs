@@ -13,7 +13,7 @@ mod names;
 mod plane;
 mod transform;
 
-pub use plane::without_heights;
+pub use plane::{same_plane, without_heights};
 pub use transform::{Accuracy, Coordinate, DEFAULT_DATUM_ACCURACY_M, Way};
 
 use std::path::Path;
@@ -69,6 +69,14 @@ impl Area {
     }
 }
 
+/// Whether a text can be nothing but the name of a file that holds a CRS.
+fn is_called_as_file(text: &str) -> bool {
+    let end = Path::new(text).extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    ["prj", "wkt", "wkt2", "txt", "xml", "json", "proj", "qpj"].contains(&end.as_str())
+        && !text.contains(['[', '+', '{', '<', '\n'])
+        && !text.contains("://")
+}
+
 const REMEDY: &str = "give an EPSG code (EPSG:25832), WKT, a PROJ string, or a file with one of them";
 
 /// Whether the system of this code counts in the unit of `reference`: GDAL leaves the code on a system in metres that a
@@ -95,6 +103,11 @@ impl Crs {
         let text = text.trim();
         let file = Path::new(text);
         let from_file = text.len() < 4096 && file.is_file();
+        if !from_file && is_called_as_file(text) {
+            let what =
+                if file.is_dir() { "a folder, no file with a CRS" } else { "no such file, and no name of a CRS" };
+            return Err(Error::usage(format!("{text}: {what}"), REMEDY));
+        }
         let definition = if from_file { definition_in(file)? } else { text.to_string() };
         let bad = |why: &dyn std::fmt::Display| {
             let why = why.to_string().split_whitespace().collect::<Vec<_>>().join(" ");

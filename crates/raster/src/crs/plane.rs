@@ -5,6 +5,7 @@ use std::path::Path;
 
 use gdal::spatial_ref::SpatialRef;
 
+use crate::crs::Crs;
 use crate::error::{Error, Result};
 
 /// A CRS without its heights, as WKT; empty for none. GDAL gives every band that names no unit that of the vertical
@@ -30,6 +31,12 @@ pub fn without_heights(path: &Path, wkt: &str) -> Result<String> {
     reference.to_wkt().map_err(failed)
 }
 
+/// Whether two CRSs differ in their heights at most.
+pub fn same_plane(a: &Crs, b: &Crs) -> bool {
+    let plane = |crs: &Crs| without_heights(Path::new("CRS"), crs.wkt()).ok();
+    plane(a).is_some_and(|of_a| plane(b) == Some(of_a))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -45,5 +52,8 @@ mod tests {
             assert!(!plan.is_compound() && plan.axes_count() == 2, "{with}");
         }
         assert_eq!(without_heights(path, "").expect("nothing"), "");
+        let crs = |text: &str| Crs::parse(text).expect("PROJ knows it");
+        assert!(same_plane(&crs("EPSG:4326+5773"), &crs("EPSG:4326+3855")));
+        assert!(!same_plane(&crs("EPSG:4326+5773"), &crs("EPSG:4258+3855")));
     }
 }

@@ -185,14 +185,21 @@ impl Crs {
         create(None).ok().filter(works).map(|any| (any, Accuracy::Unstated)).ok_or_else(|| {
             let grids = self.missing_grids(points, to);
             let why = if grids.is_empty() {
-                "a datum or geoid grid is missing, or the points lie outside".to_string()
+                "a datum or geoid grid is missing, or the points lie outside it or in a hole of it".to_string()
             } else {
-                format!("the datum or geoid grid is missing: {}", grids.join(", "))
+                format!("the datum or geoid grid is missing: {}, or another has no value there", grids.join(", "))
             };
+            let (x, y) = (points[0].x, points[0].y);
+            let place = self.longitude_latitude(x, y);
+            let place =
+                place.map_or_else(|| format!("{x}, {y}"), |(x, y)| format!("longitude {x:.4}, latitude {y:.4}"));
             self.failed(
                 to,
-                &format!("no transformation between them can be carried out here: {why}"),
-                &format!("install the grid ({}), or give both systems on one datum", how_to_install(&grids)),
+                &format!("no transformation between them can be carried out at {place}: {why}"),
+                &format!(
+                    "install a grid that covers the place ({}), or give both systems on one datum",
+                    how_to_install(&grids)
+                ),
             )
         })
     }
@@ -270,7 +277,9 @@ fn and_miss(grids: &[String]) -> String {
 }
 
 fn how_to_install(grids: &[String]) -> String {
-    match grids.first() {
+    // What PROJ's own collection has is called so; other grids come from their authorities.
+    let is_offered = |name: &&String| name.ends_with(".tif");
+    match grids.iter().find(is_offered) {
         Some(name) => format!("projsync --file {name}, or apt install proj-data"),
         None => "apt install proj-data, or projsync".into(),
     }
@@ -327,7 +336,10 @@ mod tests {
         match at("EPSG:5972", "EPSG:4979", 570_000.0, 7_032_000.0, Some(80.0)) {
             Err(error) => {
                 let text = error.to_string();
-                assert!(text.contains("grid is missing: ") && text.contains("NN2000"), "it is named: {text}");
+                assert!(
+                    text.contains("grid is missing: ") && text.contains("longitude 10.") && text.contains("NN2000"),
+                    "it is named: {text}"
+                );
             }
             Ok((point, _)) => {
                 assert!((30.0..50.0).contains(&(point.height.expect("kept") - 80.0)), "the geoid: {point:?}")
