@@ -23,6 +23,7 @@ pub use points::{Gathered, gather};
 
 use serde::Serialize;
 
+use crate::matching::diagnosis::Diagnosis;
 use crate::result::RunResult;
 use autoref_raster::error::Result;
 use autoref_solve::Similarity;
@@ -70,6 +71,8 @@ struct Page<'a> {
     program: &'a str,
     status: crate::result::Status,
     reason: Option<&'a str>,
+    /// It was refused for a mistake of the whole list, which a review does not mend.
+    condemned: bool,
     advice: &'a [String],
     image: Image<'a>,
     gcp_file: &'a str,
@@ -130,6 +133,7 @@ pub fn page(
         program: &result.program,
         status: result.status(),
         reason: result.refused().map(|refused| refused.reason.as_str()),
+        condemned: result.refused().is_some() && result.diagnoses.iter().any(Diagnosis::condemns_list),
         advice: &result.advice,
         image: Image {
             name,

@@ -72,10 +72,34 @@ fn a_wrong_zone_is_refused_unless_it_is_named() {
     let wrong = ["a.tif", "--gcps", "l.csv", "--no-report", "--overwrite", "--crs", "EPSG:25833"];
     answers(&program(dir, &wrong), 1, &["Not solved", "wrong UTM zone", "--force wrong-zone"]);
     assert_eq!(std::fs::read(dir.join("a.tif.aux.xml")).expect("still there"), before, "a mistake was written");
+    a_review_does_not_mend_a_list(dir);
+    assert_eq!(std::fs::read(dir.join("a.tif.aux.xml")).expect("still there"), before, "a replay wrote a mistake");
     // Another mistake's name is no leave, a bare --force no name.
     assert_eq!(program(dir, &[&wrong[..], &["--force", "feet"]].concat()).status.code(), Some(1));
     assert_eq!(program(dir, &[&wrong[..], &["--force"]].concat()).status.code(), Some(2));
     answers(&program(dir, &[&wrong[..], &["--force", "wrong-zone"]].concat()), 0, &["Matched"]);
+}
+
+/// A reviewer who accepts every mark of a list in the wrong zone got a georeference 300 km off without a word.
+fn a_review_does_not_mend_a_list(dir: &Path) {
+    let text = std::fs::read_to_string(dir.join("a.autoref.json")).expect("the refused result");
+    let refused: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let pairs = refused["best_pattern"]["pairs"].as_array().expect("proposals");
+    let name = |pair: &serde_json::Value| &refused["gcps"][pair[1].as_u64().expect("an index") as usize]["name"];
+    let edits: Vec<_> = pairs.iter().map(|pair| serde_json::json!({"gcp": name(pair), "action": "accept"})).collect();
+    let patch = serde_json::json!({"schema": "autoref-stream-patch", "schema_version": 1, "for": "gcps",
+        "source": "a.autoref.json", "edits": edits});
+    std::fs::write(dir.join("a.patch.json"), patch.to_string()).expect("writable");
+    let replay = ["solve", "a.autoref.json", "--patch", "a.patch.json", "-o", "r.json", "--overwrite"];
+    answers(&program(dir, &replay), 1, &["Not solved", "wrong UTM zone", "--force wrong-zone"]);
+    answers(&program(dir, &["apply", "r.json", "--overwrite"]), 2, &["no georeference", "wrong UTM zone"]);
+    assert_eq!(program(dir, &[&replay[..], &["--force", "feet"]].concat()).status.code(), Some(1));
+    let likely = ["a mistake in the list is likely", "wrong UTM zone"];
+    answers(&program(dir, &[&replay[..], &["--force", "wrong-zone"]].concat()), 0, &likely);
+    answers(&program(dir, &["apply", "r.json", "--write", "vrt"]), 0, &likely);
+    // A patch of the result that was forced needs no leave a second time.
+    let again = ["solve", "r.json", "--patch", "a.patch.json"];
+    answers(&program(dir, &again), 0, &likely);
 }
 
 #[test]

@@ -56,7 +56,11 @@
       verdict.append(`Georeferenced from ${count(state.control, "point", "points")}`);
     } else {
       verdict.append(`Not georeferenced: ${D.reason || "no reason given"}`);
-      if (edits.length && state.solution) verdict.append(html("p", { class: "sub" }, `With what was accepted here there is a fit of ${count(state.control, "point", "points")}; replay the patch to have it.`));
+      if (edits.length && state.solution) {
+        const leave = D.advice.some((a) => a.includes("--force")) ? ", unless solve is given the --force that is named here, too" : "";
+        verdict.append(html("p", { class: "sub" }, `With what was accepted here there is a fit of ${count(state.control, "point", "points")}; ${D.condemned
+          ? `the mistake in the list stays, and the replay is refused for it${leave}.` : "replay the patch to have it."}`));
+      }
       if (D.advice.length) verdict.append(html("ul", {}, ...D.advice.map((a) => html("li", {}, a))));
     }
     const s = state.solution, f = state.fit, items = [];
@@ -85,9 +89,9 @@
     }
   }
   // Stands above what is as the run said it, and is seen once something is changed.
-  const ofRun = () => html("p", { class: "of-run" }, "As the run found it, before the changes made here. The replay of the patch says it anew.");
+  const ofRun = (more = "") => html("p", { class: "of-run" }, `As the run found it, before the changes made here.${more}`);
   function warnings() {
-    if (D.warnings.length) replace("warnings", ofRun(), html("ul", { class: "warnings", "aria-label": "Warnings" }, ...D.warnings.map((w) => html("li", {}, w))));
+    if (D.warnings.length) replace("warnings", ofRun(" The replay judges the new fit, and tells mistakes in the list again."), html("ul", { class: "warnings", "aria-label": "Warnings" }, ...D.warnings.map((w) => html("li", {}, w))));
   }
 
   // ---- overview and expected error

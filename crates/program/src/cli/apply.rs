@@ -12,6 +12,7 @@ use clap::Args;
 
 use crate::cli::prepare::threads;
 use crate::cli::progress::Telling;
+use crate::cli::summary;
 use crate::cli::values::Bytes;
 use crate::cli::write::{WarpBar, WriteArgs};
 
@@ -57,6 +58,7 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     if let Some(refused) = result.refused() {
         bail!("{}: there is no georeference to apply: {}", args.result.display(), refused.reason);
     }
+    let reservation = summary::reservation(&result);
     let edges = if args.same_extent { Edges::Coincide } else { Edges::Unknown };
     let (image, result, page) = match &args.to {
         // From lists alone: whatever raster is named is the image.
@@ -77,7 +79,7 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     let bar = WarpBar::new(&request, Telling::silent_if(args.quiet || args.json));
     let to_open = request.what_to_open(&request.found(&result)?)?;
     let staged = request.stage(&result, &mut transaction, &|done| bar.set(done))?;
-    let warnings: Vec<String> = to_open.into_iter().chain(staged).collect();
+    let warnings: Vec<String> = reservation.into_iter().chain(to_open).chain(staged).collect();
     drop(bar);
     let written: Vec<String> = transaction.paths().iter().map(|path| path.display().to_string()).collect();
     transaction.commit()?;

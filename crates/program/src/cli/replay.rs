@@ -21,9 +21,11 @@ use autoref_stream::result::{RunResult, Warning};
 
 use crate::cli::accuracy;
 use crate::cli::args::SolveArgs;
+use crate::cli::diagnosis;
 use crate::cli::document::Document;
 use crate::cli::run;
 use crate::cli::solving;
+use crate::cli::working_crs::Force;
 use autoref_raster::words::counted;
 
 pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Result<ExitCode> {
@@ -47,42 +49,9 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     }
     let crs = recorded.crs.as_deref().map(Crs::parse).transpose()?;
     let list = GcpList { gcps: recorded.gcps.clone(), crs, working_crs: WorkingCrs::local(), notes, hints: Vec::new() };
-    let outcome = match replayed {
-        Replayed::Solved(orientation) => Outcome::Solved(orientation),
-        Replayed::Unsolvable { points } => Outcome::Refused(Box::new(Evidence {
-            diagnoses: Vec::new(),
-            reason: format!(
-                "the review leaves {}; an orientation needs 2 in different places",
-                counted(points, "point", "points")
-            ),
-            advice: vec!["accept or place more marks".into()],
-            best: None,
-            runner_up: None,
-            effort: Effort::default(),
-        })),
-    };
+    let mut outcome = outcome(replayed);
     accuracy::check_nssda(&args.gcps.accuracy, &list)?;
-    let mut document = Document::new(&list, Path::new(&recorded.gcp_file), &outcome, recorded.candidates.clone());
-    let result = &mut document.result;
-    result.options = recorded.options.clone();
-    // A georeference can be written from what was settled by hand: `apply` wants to know the image.
-    result.image = recorded.image.clone();
-    if let Outcome::Solved(orientation) = &outcome {
-        solving::again(result, &recorded, orientation, &list);
-    }
-    let extent = result.extent_px();
-    accuracy::state(result, &list, &args.gcps.accuracy, extent);
-    if let (Some(solved), Some(image)) = (result.solved(), &recorded.image)
-        && let Some(solution) = &solved.solution
-        && let Some(errors) = accuracy::error_model(solved)
-    {
-        let marks: Vec<PixelPoint> = solved.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
-        let size_px = (image.width as f64, image.height as f64);
-        let notes = report::plain_warnings(solution, &errors, &marks, size_px);
-        result.warnings.extend(notes.into_iter().map(Warning::Said));
-    }
-    let edits = counted(patch.edits.len(), "edit", "edits");
-    result.warn(format!("{edits} by hand replayed from {}", patch_path.display()));
+    let mut document = document(args, &recorded, &list, &outcome);
     if differs(&patch, document.result.geotransform().map(|g| g.0)) {
         bail!(
             "{}: its page had shown another transform: it was not made from {} as that is now; review its page again, or remove `shown` from the patch to replay it all the same",
@@ -90,6 +59,11 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
             args.candidates.display()
         );
     }
+    if refuse_again(&mut outcome, &recorded, &args.gcps.working_crs.force) {
+        document = self::document(args, &recorded, &list, &outcome);
+    }
+    let edits = counted(patch.edits.len(), "edit", "edits");
+    document.result.warn(format!("{edits} by hand replayed from {}", patch_path.display()));
     keep_reasons(&mut document.result, &recorded);
     settle(&mut document.result, &patch);
     document.result.patch = Some(patch);
@@ -103,6 +77,62 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     }
     run::print(&document.result, run::Printing { json: args.json, quiet: args.quiet });
     Ok(document.exit_code())
+}
+
+fn outcome(replayed: Replayed) -> Outcome {
+    match replayed {
+        Replayed::Solved(orientation) => Outcome::Solved(orientation),
+        Replayed::Unsolvable { points } => Outcome::Refused(Box::new(Evidence {
+            diagnoses: Vec::new(),
+            reason: format!(
+                "the review leaves {}; an orientation needs 2 in different places",
+                counted(points, "point", "points")
+            ),
+            advice: vec!["accept or place more marks".into()],
+            best: None,
+            runner_up: None,
+            effort: Effort::default(),
+        })),
+    }
+}
+
+/// The document of what came of the replay, with what the recorded run knew of the image and was asked for.
+fn document(args: &SolveArgs, recorded: &RunResult, list: &GcpList, outcome: &Outcome) -> Document {
+    let mut document = Document::new(list, Path::new(&recorded.gcp_file), outcome, recorded.candidates.clone());
+    let result = &mut document.result;
+    result.options = recorded.options.clone();
+    // A georeference can be written from what was settled by hand: `apply` wants to know the image.
+    result.image = recorded.image.clone();
+    if let Outcome::Solved(orientation) = outcome {
+        solving::again(result, recorded, orientation, list);
+    }
+    let extent = result.extent_px();
+    accuracy::state(result, list, &args.gcps.accuracy, extent);
+    if let (Some(solved), Some(image)) = (result.solved(), &recorded.image)
+        && let Some(solution) = &solved.solution
+        && let Some(errors) = accuracy::error_model(solved)
+    {
+        let marks: Vec<PixelPoint> = solved.matches.iter().map(|row| PixelPoint { x: row.x, y: row.y }).collect();
+        let size_px = (image.width as f64, image.height as f64);
+        let notes = report::plain_warnings(solution, &errors, &marks, size_px);
+        result.warnings.extend(notes.into_iter().map(Warning::Said));
+    }
+    document
+}
+
+/// Refuses anew what the recorded run refused for a mistake of the whole list: a review settles marks, not the list. A
+/// run that solved in spite of one was told so by `--force`, and its verdict says so again. Whether it was refused.
+fn refuse_again(outcome: &mut Outcome, recorded: &RunResult, forced: &[Force]) -> bool {
+    if recorded.refused().is_none() || matches!(outcome, Outcome::Refused(_)) {
+        return false;
+    }
+    diagnosis::refuse_mistakes(outcome, forced);
+    let Outcome::Refused(evidence) = outcome else { return false };
+    // What may be accepted stays so for the next replay.
+    evidence.best = recorded.best_pattern().cloned();
+    evidence.runner_up = recorded.runner_up.clone();
+    evidence.effort = recorded.search.clone().unwrap_or_default();
+    true
 }
 
 /// Why points have no mark was seen in the image, which a replay does not look at.

@@ -115,12 +115,19 @@ struct Verdict {
     tested: Option<String>,
 }
 
+/// What the verdict says against a result that was solved, for who writes outputs from it later.
+pub fn reservation(result: &RunResult) -> Option<String> {
+    Verdict::against(result, result.solved()?).map(|verdict| verdict.sentence)
+}
+
 impl Verdict {
     fn of(result: &RunResult, run: &SolvedRun) -> Verdict {
-        let chance = result
-            .log10_false_alarms
-            .map(|log10| format!("makes such a pattern in one of 10^{:.0} images", (-log10).max(0.0).floor()));
-        let and_chance = chance.as_ref().map_or(String::new(), |text| format!("; chance {text}"));
+        Verdict::against(result, run).unwrap_or_else(|| Verdict::for_it(result, run))
+    }
+
+    /// What speaks against the result; `None` where nothing does.
+    fn against(result: &RunResult, run: &SolvedRun) -> Option<Verdict> {
+        let chance = chance(result);
         let tested = tested(run);
         let misfit = Misfit::of(result);
         let twins = Twins::of(result).map(|twins| twins.clause(run.fit.scale_m_per_px));
@@ -139,21 +146,25 @@ impl Verdict {
                 sentence += &format!("; {}", misfit.clause());
             }
             sentence.extend(twins.map(|twins| format!("; {twins}")));
-            return Verdict { sentence, chance, tested };
+            return Some(Verdict { sentence, chance, tested });
         }
         if outlier {
+            let and_chance = and_chance(chance.as_deref());
             let sentence =
                 format!("solved, but a point does not fit: look at it before you trust the rest{and_chance}");
             let sentence = twins.map_or(sentence.clone(), |twins| format!("{sentence}; {twins}"));
-            return Verdict { sentence, chance: None, tested };
+            return Some(Verdict { sentence, chance: None, tested });
         }
         if let Some(misfit) = misfit {
             let sentence = twins.map_or(misfit.verdict(), |twins| format!("{}; {twins}", misfit.verdict()));
-            return Verdict { sentence, chance, tested };
+            return Some(Verdict { sentence, chance, tested });
         }
-        if let Some(twins) = twins {
-            return Verdict { sentence: format!("solved, but {twins}"), chance, tested };
-        }
+        twins.map(|twins| Verdict { sentence: format!("solved, but {twins}"), chance, tested })
+    }
+
+    /// Of a result that nothing speaks against: what tests it.
+    fn for_it(result: &RunResult, run: &SolvedRun) -> Verdict {
+        let and_chance = and_chance(chance(result).as_deref());
         let horizontal = run.accuracy.as_ref().and_then(|a| a.figures.horizontal.as_ref());
         let sentence = if let Some(h) = horizontal {
             let rmse = length(h.rmse_h1_m);
@@ -168,9 +179,20 @@ impl Verdict {
             format!("solved; the points agree with each other, no check point tests them{and_chance}")
         };
         // The sentence has the RMSE already.
-        let tested = tested.filter(|_| run.accuracy.as_ref().is_some_and(|a| a.figures.nssda.is_some()));
+        let tested = tested(run).filter(|_| run.accuracy.as_ref().is_some_and(|a| a.figures.nssda.is_some()));
         Verdict { sentence, chance: None, tested }
     }
+}
+
+/// How often chance makes such a pattern.
+fn chance(result: &RunResult) -> Option<String> {
+    let log10 = result.log10_false_alarms?;
+    Some(format!("makes such a pattern in one of 10^{:.0} images", (-log10).max(0.0).floor()))
+}
+
+/// The same as the end of a sentence.
+fn and_chance(chance: Option<&str>) -> String {
+    chance.map_or(String::new(), |text| format!("; chance {text}"))
 }
 
 /// What check points say, with the figures that were asked for.
