@@ -7,7 +7,7 @@ use crate::gcp::GcpRole;
 use crate::matching::diagnosis::{Diagnosis, Mistake};
 use crate::matching::{Effort, Pattern, Solved};
 use crate::pipeline::georeference::{FoundBy, FoundMark, Orientation, pairs};
-use crate::result::RunResult;
+use crate::result::{RunPattern, RunResult};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 use autoref_review::HAND_VARIANCE_PX2;
@@ -150,6 +150,23 @@ fn open_diagnoses(recorded: &RunResult, patch: &PatchFile, marks: &[FoundMark]) 
     recorded.diagnoses.iter().filter(|diagnosis| !is_settled(diagnosis)).cloned().collect()
 }
 
+/// The pattern that the run found, and how many of its control points kept their marks.
+pub fn run_pattern(recorded: &RunResult, left: &Orientation) -> RunPattern {
+    /// As `--max-false-alarms` without a word.
+    const USUAL_LIMIT: f64 = 1e-4;
+    let kept = left.marks.iter().filter(|found| found.found_by != FoundBy::Review).count();
+    if let Some(earlier) = recorded.run_pattern {
+        return RunPattern { kept: kept.min(earlier.points), ..earlier };
+    }
+    let points = match recorded.best_pattern() {
+        Some(pattern) => pattern.pairs.len(),
+        None => recorded.matches().len(),
+    };
+    let limit = recorded.options.get("max_false_alarms").and_then(serde_json::Value::as_f64).unwrap_or(USUAL_LIMIT);
+    let is_rare = recorded.log10_false_alarms.is_some_and(|log10| log10 <= limit.log10());
+    RunPattern { points, kept, believed: recorded.solved().is_some() || is_rare }
+}
+
 fn orientation(
     recorded: &RunResult,
     marks: Vec<FoundMark>,
@@ -278,6 +295,26 @@ mod tests {
             panic!("solvable")
         };
         assert_eq!(kept.diagnoses.len(), 2, "nobody has said anything of D");
+    }
+
+    /// The chance of a pattern of seven points was stated of the two that a review had left.
+    #[test]
+    fn the_pattern_of_the_run_is_told_from_what_the_review_left() {
+        let pattern = |recorded: &RunResult, edits: serde_json::Value| {
+            let replayed = replay(recorded, &patch(edits), Path::new("patch.json")).expect("a good patch");
+            let Replayed::Solved(orientation) = replayed else { panic!("solvable") };
+            run_pattern(recorded, &orientation)
+        };
+        let reject = serde_json::json!([{"gcp": "D", "action": "reject"}]);
+        let moved = serde_json::json!([{"gcp": "A", "action": "move", "x": 100.0, "y": 100.0}]);
+        let of = |points, kept, believed| RunPattern { points, kept, believed };
+        let mut recorded = recorded();
+        assert_eq!(pattern(&recorded, serde_json::json!([])), of(4, 4, true));
+        assert_eq!(pattern(&recorded, reject.clone()), of(4, 3, true));
+        assert_eq!(pattern(&recorded, moved.clone()), of(4, 3, true));
+        // A second review of the same run.
+        recorded.run_pattern = Some(of(7, 4, false));
+        assert_eq!(pattern(&recorded, moved), of(7, 3, false));
     }
 
     #[test]

@@ -6,8 +6,8 @@ use std::borrow::Cow;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ChosenModel, FitFigures, ImageInfo, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunResult,
-    SCHEMA_VERSION, SolvedRun, Status, Timings, Warning,
+    ChosenModel, FitFigures, ImageInfo, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunPattern,
+    RunResult, SCHEMA_VERSION, SolvedRun, Status, Timings, Warning,
 };
 use crate::candidate::Candidate;
 use crate::gcp::Gcp;
@@ -80,6 +80,8 @@ pub(super) struct Document<'a> {
     chosen_model: Option<ChosenModel>,
     #[serde(default)]
     warnings: Vec<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    run_pattern: Option<RunPattern>,
     patch: Option<autoref_review::PatchFile>,
     #[serde(default)]
     candidates: Cow<'a, [Candidate]>,
@@ -152,6 +154,7 @@ impl<'a> Document<'a> {
             heights: solved.and_then(|solved| solved.heights.clone()),
             chosen_model: solved.and_then(|solved| solved.chosen_model.clone()),
             warnings: result.warnings.iter().map(ToString::to_string).collect(),
+            run_pattern: result.run_pattern,
             patch: result.patch.clone(),
             candidates: Cow::Borrowed(&result.candidates),
             files_written: result.files_written.clone(),
@@ -237,6 +240,7 @@ impl TryFrom<Document<'_>> for RunResult {
             prior_georeference: document.prior_georeference,
             diagnoses: document.diagnoses,
             warnings: document.warnings.into_iter().map(Warning::Said).collect(),
+            run_pattern: document.run_pattern,
             patch: document.patch,
             files_written: document.files_written,
             reading: document.reading,

@@ -70,6 +70,8 @@ pub struct RunResult {
     /// Mistakes in the list of GCPs that would explain what was seen; none was corrected.
     pub diagnoses: Vec<crate::matching::diagnosis::Diagnosis>,
     pub warnings: Vec<Warning>,
+    /// Of a replay: what [`RunResult::log10_false_alarms`] speaks of.
+    pub run_pattern: Option<RunPattern>,
     /// The review that was replayed, whole: who reads the result sees what was changed by hand.
     pub patch: Option<autoref_review::PatchFile>,
     pub files_written: Vec<String>,
@@ -152,6 +154,17 @@ pub struct RefusedRun {
     pub reason: String,
     /// The best partial pattern.
     pub best_pattern: Option<Pattern>,
+}
+
+/// The pattern that a run found, and what a review left of it: the chance of a false alarm is the run's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RunPattern {
+    /// Its control points.
+    pub points: usize,
+    /// Those whose marks stayed as the run had found them.
+    pub kept: usize,
+    /// Whether chance makes it as rarely as the run asked for.
+    pub believed: bool,
 }
 
 /// What was read.

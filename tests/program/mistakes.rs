@@ -97,9 +97,25 @@ fn a_review_does_not_mend_a_list(dir: &Path) {
     let likely = ["a mistake in the list is likely", "wrong UTM zone"];
     answers(&program(dir, &[&replay[..], &["--force", "wrong-zone"]].concat()), 0, &likely);
     answers(&program(dir, &["apply", "r.json", "--write", "vrt"]), 0, &likely);
+    proposals_that_nobody_accepted_are_no_doubts(dir, &patch);
     // A patch of the result that was forced needs no leave a second time.
     let again = ["solve", "r.json", "--patch", "a.patch.json"];
     answers(&program(dir, &again), 0, &likely);
+}
+
+/// Their own marks were told as others that lie 0.0 px beside their places, and two points had the chance of nine.
+fn proposals_that_nobody_accepted_are_no_doubts(dir: &Path, all: &serde_json::Value) {
+    let mut two = all.clone();
+    let edits = two["edits"].as_array_mut().expect("a list");
+    let points = edits.len();
+    edits.truncate(2);
+    std::fs::write(dir.join("two.patch.json"), two.to_string()).expect("writable");
+    let replay = ["solve", "a.autoref.json", "--patch", "two.patch.json", "--force", "wrong-zone", "-v"];
+    let run = program(dir, &replay);
+    let kept = format!("of its {points} points the review kept 2");
+    answers(&run, 0, &["(proposed: not accepted in the review)", &kept]);
+    let text = said(&run);
+    assert!(!text.contains("displaced") && !text.contains("may be wrong"), "{text}");
 }
 
 #[test]

@@ -51,7 +51,7 @@
     document.body.classList.toggle("edited", edited);
     if (D.status === "solved" && edited) {
       verdict.append(`Fit of ${count(state.control, "point", "points")} with the changes made here`,
-        html("p", { class: "sub" }, "Whether it can be trusted is judged when the patch is replayed."));
+        html("p", { class: "sub" }, "The replay judges this fit by its residuals and its points; the chance of a false alarm stays that of the run's pattern."));
     } else if (D.status === "solved") {
       verdict.append(`Georeferenced from ${count(state.control, "point", "points")}`);
     } else {
@@ -76,7 +76,7 @@
       if (state.checks) add("RMSE of check points", ground(state.checkRmse), count(state.checks, "point kept out of the fit", "points kept out of the fit"));
       add("Pixel on the ground", `${(s.scale * 100).toFixed(3)} cm`, `turned ${Math.abs(s.rotation).toFixed(4)}° ${s.rotation < -5e-5 ? "clockwise" : "anticlockwise"} from east`);
     }
-    if (D.log10_false_alarms !== null) add("False alarms", chance(D.log10_false_alarms), D.status === "solved"
+    if (D.log10_false_alarms !== null) add("False alarms", chance(D.log10_false_alarms), edited ? "of the run's pattern, before the changes made here" : D.status === "solved"
       ? "that so many marks agree without being the points" : "such patterns in this image by chance alone");
     replace("figures", ...items);
     const note = byId("reviewed");

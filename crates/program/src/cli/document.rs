@@ -60,6 +60,7 @@ impl Document {
             prior_georeference: None,
             diagnoses: evidence.diagnoses,
             warnings: list.notes.iter().cloned().map(Warning::Said).collect(),
+            run_pattern: None,
             patch: None,
             files_written: Vec::new(),
             reading: None,

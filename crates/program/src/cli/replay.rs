@@ -15,7 +15,7 @@ use autoref_stream::gcp::{GcpList, WorkingCrs};
 use autoref_stream::matching::{Effort, Evidence};
 use autoref_stream::pipeline::georeference::Outcome;
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
-use autoref_stream::replay::{Replayed, replay};
+use autoref_stream::replay::{Replayed, replay, run_pattern};
 use autoref_stream::report;
 use autoref_stream::result::{RunResult, Warning};
 
@@ -65,7 +65,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     let edits = counted(patch.edits.len(), "edit", "edits");
     document.result.warn(format!("{edits} by hand replayed from {}", patch_path.display()));
     keep_reasons(&mut document.result, &recorded);
-    settle(&mut document.result, &patch);
+    settle(&mut document.result, &recorded, &patch);
     document.result.patch = Some(patch);
     if let Some(delivery) = &delivery {
         delivery.apply(&mut document.result);
@@ -104,6 +104,7 @@ fn document(args: &SolveArgs, recorded: &RunResult, list: &GcpList, outcome: &Ou
     // A georeference can be written from what was settled by hand: `apply` wants to know the image.
     result.image = recorded.image.clone();
     if let Outcome::Solved(orientation) = outcome {
+        result.run_pattern = Some(run_pattern(recorded, orientation));
         solving::again(result, recorded, orientation, list);
     }
     let extent = result.extent_px();
@@ -138,33 +139,44 @@ fn refuse_again(outcome: &mut Outcome, recorded: &RunResult, forced: &[Force]) -
 /// Why points have no mark was seen in the image, which a replay does not look at.
 fn keep_reasons(result: &mut RunResult, recorded: &RunResult) {
     let seen = recorded.solved().map(|run| run.not_found.as_slice()).unwrap_or_default();
+    // What an earlier review settled stays so, whatever lies there.
+    let by_review = |known: &NotFound| matches!(known.reason, Reason::Proposed | Reason::Reviewed);
     let unseen = result.solved_mut().into_iter().flat_map(|run| &mut run.not_found);
-    for lost in unseen.filter(|lost| lost.reason == Reason::Hidden) {
-        if let Some(known) = seen.iter().find(|known| known.name == lost.name && known.reason != Reason::Outside) {
+    for lost in unseen.filter(|lost| lost.reason != Reason::Outside) {
+        let Some(known) = seen.iter().find(|known| known.name == lost.name && known.reason != Reason::Outside) else {
+            continue;
+        };
+        if lost.reason == Reason::Hidden || by_review(known) {
             *lost = NotFound { x: lost.x, y: lost.y, ..known.clone() };
         }
     }
+    for known in seen.iter().filter(|known| by_review(known)) {
+        result.warnings.retain(|warning| !warning.misses(&known.name));
+    }
 }
 
-/// What a person rejected or could not see is no doubt of the program's any more.
-fn settle(result: &mut RunResult, patch: &PatchFile) {
-    let gcps: HashMap<&str, Action> = patch
-        .edits
-        .iter()
-        .filter_map(|edit| match &edit.target {
-            Target::Gcp { gcp } => Some((gcp.as_str(), edit.action)),
-            Target::Fiducial { .. } => None,
-        })
+/// What a person rejected or could not see is no doubt of the program's any more, and a proposal that nobody accepted
+/// is no mark beside its place.
+fn settle(result: &mut RunResult, recorded: &RunResult, patch: &PatchFile) {
+    let proposals = recorded.best_pattern().into_iter().flat_map(|pattern| &pattern.pairs);
+    let mut settled: HashMap<&str, (Reason, &str)> = proposals
+        .map(|pair| (recorded.gcps[pair.1].name.as_str(), (Reason::Proposed, "not accepted in the review")))
         .collect();
-    for (gcp, action) in gcps {
-        let said = match action {
-            Action::Reject => "a review rejected what was found there",
-            Action::NotVisible => "a review could not see it",
-            Action::Accept | Action::Move | Action::Pick => continue,
+    for edit in &patch.edits {
+        let Target::Gcp { gcp } = &edit.target else { continue };
+        match edit.action {
+            Action::Reject => settled.insert(gcp, (Reason::Reviewed, "a review rejected what was found there")),
+            Action::NotVisible => settled.insert(gcp, (Reason::Reviewed, "a review could not see it")),
+            // It has a mark then.
+            Action::Accept | Action::Move | Action::Pick => settled.remove(gcp.as_str()),
         };
+    }
+    for (gcp, (reason, said)) in settled {
         result.warnings.retain(|warning| !warning.misses(gcp));
         let lost = result.solved_mut().into_iter().flat_map(|solved| &mut solved.not_found);
-        lost.filter(|lost| lost.name == gcp).for_each(|lost| lost.detail = said.into());
+        for lost in lost.filter(|lost| lost.name == gcp && lost.reason != Reason::Outside) {
+            *lost = NotFound::new(gcp.to_owned(), reason, PixelPoint { x: lost.x, y: lost.y }, said.into());
+        }
     }
 }
 

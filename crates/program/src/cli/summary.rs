@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 use autoref_stream::matching::diagnosis::{Certainty, Diagnosis};
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
-use autoref_stream::result::{Misfit, RefusedRun, RunOutcome, RunResult, SolvedRun, Twins};
+use autoref_stream::result::{Misfit, RefusedRun, RunOutcome, RunPattern, RunResult, SolvedRun, Twins};
 
 use crate::cli::lengths::length;
 use crate::cli::{accuracy, solving};
@@ -174,7 +174,9 @@ impl Verdict {
             )
         } else if run.matches.len() < FEW_POINTS {
             let points = run.matches.len();
-            format!("solved from {points} points only: a blunder in one would hardly show{and_chance}")
+            let shows =
+                if points < 3 { "nothing would show a blunder in one" } else { "a blunder in one would hardly show" };
+            format!("solved from {points} points only: {shows}{and_chance}")
         } else {
             format!("solved; the points agree with each other, no check point tests them{and_chance}")
         };
@@ -184,10 +186,25 @@ impl Verdict {
     }
 }
 
-/// How often chance makes such a pattern.
+/// How often chance makes such a pattern; of a review's, how often it makes the run's.
 fn chance(result: &RunResult) -> Option<String> {
     let log10 = result.log10_false_alarms?;
-    Some(format!("makes such a pattern in one of 10^{:.0} images", (-log10).max(0.0).floor()))
+    let images = format!("in one of 10^{:.0} images", (-log10).max(0.0).floor());
+    Some(match result.run_pattern {
+        Some(RunPattern { believed: false, .. }) => format!(
+            "alone makes {} patterns like the run's, which was refused for it: these marks stand by the review alone",
+            expected(log10)
+        ),
+        Some(RunPattern { points, kept, .. }) if kept < points => {
+            format!("made the run's pattern {images}, and of its {points} points the review kept {kept}")
+        }
+        _ => format!("makes such a pattern {images}"),
+    })
+}
+
+/// A number of false alarms.
+fn expected(log10: f64) -> String {
+    if log10 > -3.0 && log10 < 6.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") }
 }
 
 /// The same as the end of a sentence.
@@ -216,7 +233,9 @@ fn look_at(run: &SolvedRun, verdict: Option<&Diagnosis>) -> Vec<String> {
     // A mark that is there, elsewhere, is worth more of a look than one that is not.
     let not_found = || run.not_found.iter().filter(|point| is_left(&point.name));
     let displaced = not_found().filter(|point| point.reason == Reason::Displaced);
-    let others = not_found().filter(|point| !matches!(point.reason, Reason::Outside | Reason::Displaced));
+    // Somebody has looked at what a review settled.
+    let is_other = |reason: Reason| !matches!(reason, Reason::Outside | Reason::Displaced | Reason::Reviewed);
+    let others = not_found().filter(|point| is_other(point.reason));
     let missing = displaced.chain(others).map(NotFound::line);
     let mut all: Vec<String> = unfit.chain(missing).collect();
     let more = all.len().saturating_sub(LOOKED_AT);
@@ -253,8 +272,10 @@ fn full(result: &RunResult, lines: &mut Lines) {
         }
     }
     if let Some(log10) = result.log10_false_alarms {
-        let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
-        line("False alarms", format!("{figure} such patterns expected by chance"));
+        let of_run = result
+            .run_pattern
+            .map_or(String::new(), |pattern| format!(", by the run's {}", counted(pattern.points, "point", "points")));
+        line("False alarms", format!("{} such patterns expected by chance{of_run}", expected(log10)));
     }
     if let Some(names) = result.solved().and_then(|run| run.names.as_ref()) {
         let against =
