@@ -103,6 +103,8 @@ struct Image<'a> {
     description: &'a str,
     width: u64,
     height: u64,
+    /// In another folder than the page.
+    apart: bool,
 }
 
 #[derive(Serialize)]
@@ -141,6 +143,7 @@ pub fn page(
             description: info.map_or("", |image| image.description.as_str()),
             width: info.map_or(0, |image| image.width),
             height: info.map_or(0, |image| image.height),
+            apart: info.is_some_and(|image| image.from_result.is_some()),
         },
         gcp_file: &result.gcp_file,
         crs: result.crs.as_deref(),

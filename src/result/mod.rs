@@ -176,6 +176,9 @@ pub struct ImageInfo {
     pub bands: usize,
     pub reader: String,
     pub description: String,
+    /// The image from the folder of the result, where that is another than its own (`--out`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from_result: Option<String>,
 }
 
 /// One GCP with the mark that is it.

@@ -321,6 +321,31 @@ fn apply_finds_the_image_beside_the_result() {
     assert!(dir.join("a.vrt").exists() && !elsewhere.path().join("a.vrt").exists());
 }
 
+/// After `--out` the documented replay ended where the image is opened: its name was that of the working directory.
+#[test]
+fn a_review_in_the_folder_of_the_outputs_is_written_there() {
+    let (folder, rows) = workplace();
+    let (dir, res) = (folder.path(), folder.path().join("res"));
+    list(dir, "l.csv", TITLES, rows.into_iter());
+    let run = program(dir, &[&["a.tif", "--gcps", "l.csv", "--no-report", "--out", "res"], &ZONE_32[..]].concat());
+    answers(&run, 0, &["Matched"]);
+    let world = || std::fs::read(res.join("a.tfw")).expect("the georeference");
+    let before = world();
+    let text = std::fs::read_to_string(res.join("a.autoref.json")).expect("the result");
+    let result: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let patch = serde_json::json!({"schema": "autoref-stream-patch", "schema_version": 1, "for": "gcps",
+        "source": "a.autoref.json", "edits": [{"gcp": result["matches"][0]["gcp"], "action": "reject"}]});
+    std::fs::write(res.join("a.patch.json"), patch.to_string()).expect("writable");
+    let next = "autoref-stream apply a.reviewed.json --out . --overwrite";
+    let replay = ["solve", "a.autoref.json", "--patch", "a.patch.json", "-o", "a.reviewed.json"];
+    answers(&program(&res, &replay), 0, &["Matched", next]);
+    let words: Vec<&str> = next.split(' ').skip(1).collect();
+    answers(&program(&res, &words), 0, &["a.tfw", "a.vrt"]);
+    assert!(world() != before && !dir.join("a.tfw").exists(), "it was written elsewhere");
+    std::fs::rename(dir.join("a.tif"), dir.join("b.tif")).expect("moved");
+    answers(&program(&res, &words), 2, &["a.reviewed.json: its image", "apply a.reviewed.json IMAGE"]);
+}
+
 /// A name that a spreadsheet would calculate is a text in every table, and reads back as it was.
 #[test]
 fn names_are_no_formulas_in_tables() {

@@ -514,7 +514,7 @@
     head();
     cards();
     focusCard();
-    say("Patch saved. Replay it with autoref-stream solve.");
+    say("Patch saved. Replay it with autoref-stream solve, and write the georeference with autoref-stream apply: the end of the page has both commands.");
   }
 
   // ---- drawing and keys
@@ -603,7 +603,10 @@
       [MODEL ? `Matrix, ${MODEL}` : "", D.chosen_model && D.chosen_model.matrix ? D.chosen_model.matrix.map((row) => row.join(", ")).join("; ") : null]]);
     const raw = html("details", { class: "noprint" }, html("summary", {}, "All options"), html("pre", {}, JSON.stringify(d.options, null, 1)));
     replace("details", html("div", { class: "columns" }, what, how), raw);
-    byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing. Changes made in it are saved as a patch. Its replay: autoref-stream solve ${quoted(D.source)} --patch ${quoted(beside(".patch.json"))} -o ${quoted(beside(".reviewed.json"))}`;
+    const reviewed = quoted(beside(".reviewed.json")), kinds = o.write && o.write.length ? ` --write ${o.write.join(",")}` : "";
+    const review = ` Changes made in it are saved as a patch. Its replay: autoref-stream solve ${quoted(D.source)} --patch ${quoted(beside(".patch.json"))} -o ${reviewed}`
+      + ` and then, since that changes no georeference: autoref-stream apply ${reviewed}${kinds}${D.image.apart ? " --out ." : ""} --overwrite`;
+    byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing.${review}`;
   }
 
   // Drawings again in the width that they have now.

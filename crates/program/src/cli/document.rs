@@ -99,6 +99,7 @@ impl Document {
             bands: info.bands,
             reader: info.reader.to_string(),
             description: info.description.clone(),
+            from_result: None,
         });
         let scan = run.scan.scan_reads;
         self.result.reading = Some(Reading {

@@ -23,6 +23,7 @@ use crate::cli::accuracy;
 use crate::cli::args::SolveArgs;
 use crate::cli::diagnosis;
 use crate::cli::document::Document;
+use crate::cli::recorded_image::{apply_command, from_result, recorded_image};
 use crate::cli::run;
 use crate::cli::solving;
 use crate::cli::working_crs::Force;
@@ -72,10 +73,20 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     }
     document.finish(started);
     if let Some(output) = &args.output {
+        if let Some(image) = &mut document.result.image {
+            let place = recorded_image(&args.candidates, image);
+            image.from_result = if place.exists() { from_result(&place, output) } else { image.from_result.take() };
+        }
         document.result.files_written.push(output.display().to_string());
         crate::out::write_text(output, document.result.to_json().as_bytes(), Existing::of_flag(args.overwrite))?;
     }
     run::print(&document.result, run::Printing { json: args.json, quiet: args.quiet });
+    if let Some(output) = args.output.as_deref().filter(|_| !args.json && !args.quiet)
+        && document.result.solved().is_some()
+    {
+        // The result alone is written yet, and the image keeps the georeference that it had.
+        println!("{:<16}{}", "To write it", crate::printable(&apply_command(output, &document.result)));
+    }
     Ok(document.exit_code())
 }
 

@@ -29,6 +29,7 @@ use crate::cli::args::{GcpArgs, MarkArgs, MatchArgs, PaintArg, ReadArgs};
 use crate::cli::document::Document;
 use crate::cli::prepare::{self, Prepared, Shared};
 use crate::cli::progress::{Bar, Telling};
+use crate::cli::recorded_image::from_result;
 use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
 use crate::cli::summary::{Detail, summary};
@@ -233,6 +234,9 @@ fn say_where_it_lies(
     // A note is not worth the run.
     let found = request.found(&document.result).unwrap_or(autoref_stream::georef::shown::Found::Unknown);
     document.prior(info, written, list, &found);
+    if let Some(image) = &mut document.result.image {
+        image.from_result = from_result(&info.path, &request.base);
+    }
     if document.result.solved().is_some() {
         // First, since a brief summary has the first notes only.
         let to_open = request.what_to_open(&found)?.map(Warning::Said);
@@ -433,6 +437,7 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
         "accuracy": args.look.gcps.accuracy.accuracy,
         "accuracy_class_m": args.look.gcps.accuracy.accuracy_class,
         "names": args.look.gcps.names,
+        "write": args.write.write.iter().map(|kind| kind.name()).collect::<Vec<_>>(),
     })
 }
 
