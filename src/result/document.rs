@@ -87,6 +87,8 @@ pub(super) struct Document<'a> {
     candidates: Cow<'a, [Candidate]>,
     #[serde(default)]
     files_written: Vec<String>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    files_standing: Vec<String>,
     reading: Option<Reading>,
     #[serde(skip_serializing_if = "Option::is_none")]
     second_pass: Option<SecondPass>,
@@ -158,6 +160,7 @@ impl<'a> Document<'a> {
             patch: result.patch.clone(),
             candidates: Cow::Borrowed(&result.candidates),
             files_written: result.files_written.clone(),
+            files_standing: result.files_standing.clone(),
             reading: result.reading.clone(),
             second_pass: result.second_pass.clone(),
             colour_search: result.colour_search.clone(),
@@ -243,6 +246,7 @@ impl TryFrom<Document<'_>> for RunResult {
             run_pattern: document.run_pattern,
             patch: document.patch,
             files_written: document.files_written,
+            files_standing: document.files_standing,
             reading: document.reading,
             second_pass: document.second_pass,
             colour_search: document.colour_search,

@@ -75,6 +75,8 @@ pub struct RunResult {
     /// The review that was replayed, whole: who reads the result sees what was changed by hand.
     pub patch: Option<autoref_review::PatchFile>,
     pub files_written: Vec<String>,
+    /// Of a refused run: files of earlier runs that hold a georeference still.
+    pub files_standing: Vec<String>,
     pub reading: Option<Reading>,
     /// What the self-taught second pass did, when there was one.
     pub second_pass: Option<crate::pipeline::second_pass::SecondPass>,

@@ -71,6 +71,9 @@ fn a_wrong_zone_is_refused_unless_it_is_named() {
     let before = std::fs::read(dir.join("a.tif.aux.xml")).expect("the georeference");
     let wrong = ["a.tif", "--gcps", "l.csv", "--no-report", "--overwrite", "--crs", "EPSG:25833"];
     answers(&program(dir, &wrong), 1, &["Not solved", "wrong UTM zone", "--force wrong-zone"]);
+    // The georeference of the first run stays in force, which no line said; the refused result remembers it.
+    let stays = ["stays as it is", "a.tfw, a.tif.aux.xml"];
+    answers(&program(dir, &wrong), 1, &stays);
     assert_eq!(std::fs::read(dir.join("a.tif.aux.xml")).expect("still there"), before, "a mistake was written");
     a_review_does_not_mend_a_list(dir);
     assert_eq!(std::fs::read(dir.join("a.tif.aux.xml")).expect("still there"), before, "a replay wrote a mistake");

@@ -63,6 +63,7 @@ impl Document {
             run_pattern: None,
             patch: None,
             files_written: Vec::new(),
+            files_standing: Vec::new(),
             reading: None,
             second_pass: None,
             colour_search: None,
