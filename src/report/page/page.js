@@ -383,8 +383,8 @@
     replace("cards", ...items, ...gallery);
     byId("marks-note").textContent = order.length
       ? `Each window shows the mark with the shape that was fitted to it; yellow crosses are other candidates, blue ones the place where the ${state.solution ? "fit" : "likeliest pattern, which was not believed,"} has the point. What is changed here changes figures, map, plots and tables at once; verdict, warnings and statements follow with the replay.${pictureless() ? ` The page holds no more windows: ${count(pictureless(), "point has", "points have")} none.` : ""}`
-      : gallery.length ? "No pattern was found. These candidates look most like marks; if they are none, the profile does not fit the paint."
-        : "There is no mark to show.";
+      : (gallery.length ? "No pattern was found. These candidates look most like marks; if they are none, the profile does not fit the paint. " : "There is no mark to show. ")
+        + `Marks that you see yourself are placed by a table: their pixels in a CSV with the titles x and y, then autoref-stream solve MARKS.csv --gcps LIST -o NAME.json --size ${D.image.width},${D.image.height} (and the --crs of this run), and autoref-stream apply NAME.json IMAGE.`;
     byId("editor").hidden = !order.length;
     byId("editor").parentElement.classList.toggle("whole", !order.length);
     byId("undo").disabled = !edits.length;
@@ -606,7 +606,8 @@
     const reviewed = quoted(beside(".reviewed.json")), kinds = o.write && o.write.length ? ` --write ${o.write.join(",")}` : "";
     const review = ` Changes made in it are saved as a patch. Its replay: autoref-stream solve ${quoted(D.source)} --patch ${quoted(beside(".patch.json"))} -o ${reviewed}`
       + ` and then, since that changes no georeference: autoref-stream apply ${reviewed}${kinds}${D.image.apart ? " --out ." : ""} --overwrite`;
-    byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing.${review}`;
+    // Without a mark on the page there is nothing to change.
+    byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing.${D.points.some((p, i) => shownAsCard(i)) ? review : ""}`;
   }
 
   // Drawings again in the width that they have now.
