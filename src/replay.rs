@@ -4,9 +4,10 @@ use std::path::Path;
 
 use crate::candidate::Candidate;
 use crate::gcp::GcpRole;
+use crate::matching::diagnosis::{Diagnosis, Mistake};
 use crate::matching::{Effort, Pattern, Solved};
 use crate::pipeline::georeference::{FoundBy, FoundMark, Orientation, pairs};
-use crate::result::RunResult;
+use crate::result::{RunPattern, RunResult};
 use autoref_raster::coords::PixelPoint;
 use autoref_raster::error::{Error, Result};
 use autoref_review::HAND_VARIANCE_PX2;
@@ -63,7 +64,8 @@ pub fn replay(recorded: &RunResult, patch: &PatchFile, patch_path: &Path) -> Res
         marks.push(found.clone());
         if recorded.gcps[gcp].role == GcpRole::Check { check.push(found) } else { control.push(found) }
     }
-    Ok(orientation(recorded, control, check))
+    let diagnoses = open_diagnoses(recorded, patch, &marks);
+    Ok(orientation(recorded, control, check, diagnoses))
 }
 
 /// The marks as the run left them; those of a refused run's best pattern are proposals until somebody accepts them.
@@ -133,7 +135,44 @@ fn apply(recorded: &RunResult, held: &mut [Option<Held>], edit: &Edit) -> Result
     Ok(())
 }
 
-fn orientation(recorded: &RunResult, marks: Vec<FoundMark>, check_marks: Vec<FoundMark>) -> Replayed {
+/// The mistakes that the run named and the review does not settle: marks do not mend a list. One of single points is
+/// settled where a mark of theirs was found after all, or where the review has spoken on each of them.
+fn open_diagnoses(recorded: &RunResult, patch: &PatchFile, marks: &[FoundMark]) -> Vec<Diagnosis> {
+    let has_mark = |name: &String| marks.iter().any(|found| recorded.gcps[found.gcp].name == *name);
+    let is_edited =
+        |name: &String| patch.edits.iter().any(|edit| matches!(&edit.target, Target::Gcp { gcp } if gcp == name));
+    let is_settled = |diagnosis: &&Diagnosis| {
+        let gcps = &diagnosis.gcps;
+        // Labels are of marks that are there.
+        let found = diagnosis.mistake != Mistake::LabelsExchanged && gcps.iter().any(has_mark);
+        !gcps.is_empty() && (found || gcps.iter().all(is_edited))
+    };
+    recorded.diagnoses.iter().filter(|diagnosis| !is_settled(diagnosis)).cloned().collect()
+}
+
+/// The pattern that the run found, and how many of its control points kept their marks.
+pub fn run_pattern(recorded: &RunResult, left: &Orientation) -> RunPattern {
+    /// As `--max-false-alarms` without a word.
+    const USUAL_LIMIT: f64 = 1e-4;
+    let kept = left.marks.iter().filter(|found| found.found_by != FoundBy::Review).count();
+    if let Some(earlier) = recorded.run_pattern {
+        return RunPattern { kept: kept.min(earlier.points), ..earlier };
+    }
+    let points = match recorded.best_pattern() {
+        Some(pattern) => pattern.pairs.len(),
+        None => recorded.matches().len(),
+    };
+    let limit = recorded.options.get("max_false_alarms").and_then(serde_json::Value::as_f64).unwrap_or(USUAL_LIMIT);
+    let is_rare = recorded.log10_false_alarms.is_some_and(|log10| log10 <= limit.log10());
+    RunPattern { points, kept, believed: recorded.solved().is_some() || is_rare }
+}
+
+fn orientation(
+    recorded: &RunResult,
+    marks: Vec<FoundMark>,
+    check_marks: Vec<FoundMark>,
+    diagnoses: Vec<Diagnosis>,
+) -> Replayed {
     let pairs = pairs(&recorded.gcps, &marks);
     let mirrored = recorded.similarity().map(|similarity| similarity.mirrored).unwrap_or_default();
     let Ok(solution) = solve_as(&pairs, mirrored) else { return Replayed::Unsolvable { points: pairs.len() } };
@@ -160,21 +199,14 @@ fn orientation(recorded: &RunResult, marks: Vec<FoundMark>, check_marks: Vec<Fou
         gcps_in_image: marks.len() + check_marks.len() + not_found.len(),
     };
     let evidence = Solved { pattern, runner_up: None, effort: Effort::default(), names: None };
-    Replayed::Solved(Box::new(Orientation {
-        evidence,
-        solution,
-        marks,
-        check_marks,
-        not_found,
-        outside,
-        diagnoses: Vec::new(),
-    }))
+    Replayed::Solved(Box::new(Orientation { evidence, solution, marks, check_marks, not_found, outside, diagnoses }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::gcp::Gcp;
+    use crate::matching::diagnosis::Certainty;
     use autoref_review::{SCHEMA, SCHEMA_VERSION, Subject};
 
     /// Four marks of a north-up image of 0.1 m pixels, the last one a metre off, and a fifth candidate where it should
@@ -234,6 +266,55 @@ mod tests {
         }
         let Replayed::Solved(before) = run(serde_json::json!([])).expect("nothing to do") else { panic!("solvable") };
         assert!(before.solution.rmse_m > 0.1);
+    }
+
+    /// The replay forgot every mistake in the list that the run had named.
+    #[test]
+    fn mistakes_in_the_list_stay_until_the_review_settles_them() {
+        let mut recorded = recorded();
+        let named = |gcps: &[&str]| Diagnosis {
+            mistake: Mistake::MistypedDigit,
+            certainty: Certainty::Claimed,
+            gcps: gcps.iter().map(|name| (*name).to_owned()).collect(),
+            message: String::new(),
+            log10_false_alarms: None,
+        };
+        recorded.diagnoses = vec![named(&[]), named(&["D"])];
+        let open = |edits: serde_json::Value| {
+            let replayed = replay(&recorded, &patch(edits), Path::new("patch.json")).expect("a good patch");
+            let Replayed::Solved(orientation) = replayed else { panic!("solvable") };
+            orientation.diagnoses.iter().map(|diagnosis| diagnosis.gcps.len()).collect::<Vec<_>>()
+        };
+        assert_eq!(open(serde_json::json!([])), [0], "D has a mark");
+        assert_eq!(open(serde_json::json!([{"gcp": "D", "action": "reject"}])), [0], "a person says that it has none");
+        let mut without = recorded.clone();
+        without.solved_mut().expect("solved").matches.pop();
+        let Replayed::Solved(kept) =
+            replay(&without, &patch(serde_json::json!([])), Path::new("patch.json")).expect("a good patch")
+        else {
+            panic!("solvable")
+        };
+        assert_eq!(kept.diagnoses.len(), 2, "nobody has said anything of D");
+    }
+
+    /// The chance of a pattern of seven points was stated of the two that a review had left.
+    #[test]
+    fn the_pattern_of_the_run_is_told_from_what_the_review_left() {
+        let pattern = |recorded: &RunResult, edits: serde_json::Value| {
+            let replayed = replay(recorded, &patch(edits), Path::new("patch.json")).expect("a good patch");
+            let Replayed::Solved(orientation) = replayed else { panic!("solvable") };
+            run_pattern(recorded, &orientation)
+        };
+        let reject = serde_json::json!([{"gcp": "D", "action": "reject"}]);
+        let moved = serde_json::json!([{"gcp": "A", "action": "move", "x": 100.0, "y": 100.0}]);
+        let of = |points, kept, believed| RunPattern { points, kept, believed };
+        let mut recorded = recorded();
+        assert_eq!(pattern(&recorded, serde_json::json!([])), of(4, 4, true));
+        assert_eq!(pattern(&recorded, reject.clone()), of(4, 3, true));
+        assert_eq!(pattern(&recorded, moved.clone()), of(4, 3, true));
+        // A second review of the same run.
+        recorded.run_pattern = Some(of(7, 4, false));
+        assert_eq!(pattern(&recorded, moved), of(7, 3, false));
     }
 
     #[test]

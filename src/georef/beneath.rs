@@ -98,7 +98,7 @@ fn inside(image: &Path, page: usize, bytes: Option<&Path>) -> Georeference {
 }
 
 /// The transform of an `.aux.xml` of ours.
-fn aux(image: &Path) -> Option<GeoTransform> {
+pub(super) fn aux(image: &Path) -> Option<GeoTransform> {
     let text = bounded::read_to_string(&sidecar::aux_path(image), "an .aux.xml", bounded::TEXT_BYTES).ok()?;
     sidecar::transform_of_own_aux(&text)
 }

@@ -18,6 +18,7 @@ pub mod output;
 pub mod shown;
 pub mod sidecar;
 pub mod spreadsheet;
+pub mod standing;
 pub mod tags;
 pub mod transfer;
 pub mod warp;

@@ -97,6 +97,7 @@ pub fn carry(result: &RunResult, other: &Path, edges: Edges) -> Result<RunResult
         bands: dataset.raster_count(),
         reader: "gdal".into(),
         description: dataset.driver().short_name(),
+        from_result: None,
     });
     carried.candidates.clear();
     carried.prior_georeference = None;

@@ -31,6 +31,10 @@ pub enum Reason {
     Ambiguous,
     /// A mark that is nobody else's lies beside the place, farther off than the others are: mark or survey is wrong.
     Displaced,
+    /// The run proposed a mark, and a review did not accept it.
+    Proposed,
+    /// A review rejected what was found, or could not see the mark.
+    Reviewed,
 }
 
 /// A point without a mark.
@@ -126,6 +130,8 @@ impl NotFound {
             Reason::OtherColour => "other colour",
             Reason::Ambiguous => "ambiguous",
             Reason::Displaced => "displaced",
+            Reason::Proposed => "proposed",
+            Reason::Reviewed => "reviewed",
         };
         if self.detail.is_empty() { word.to_owned() } else { format!("{word}: {}", self.detail) }
     }

@@ -23,6 +23,7 @@ pub use points::{Gathered, gather};
 
 use serde::Serialize;
 
+use crate::matching::diagnosis::Diagnosis;
 use crate::result::RunResult;
 use autoref_raster::error::Result;
 use autoref_solve::Similarity;
@@ -70,6 +71,8 @@ struct Page<'a> {
     program: &'a str,
     status: crate::result::Status,
     reason: Option<&'a str>,
+    /// It was refused for a mistake of the whole list, which a review does not mend.
+    condemned: bool,
     advice: &'a [String],
     image: Image<'a>,
     gcp_file: &'a str,
@@ -100,6 +103,8 @@ struct Image<'a> {
     description: &'a str,
     width: u64,
     height: u64,
+    /// In another folder than the page.
+    apart: bool,
 }
 
 #[derive(Serialize)]
@@ -130,6 +135,7 @@ pub fn page(
         program: &result.program,
         status: result.status(),
         reason: result.refused().map(|refused| refused.reason.as_str()),
+        condemned: result.refused().is_some() && result.diagnoses.iter().any(Diagnosis::condemns_list),
         advice: &result.advice,
         image: Image {
             name,
@@ -137,6 +143,7 @@ pub fn page(
             description: info.map_or("", |image| image.description.as_str()),
             width: info.map_or(0, |image| image.width),
             height: info.map_or(0, |image| image.height),
+            apart: info.is_some_and(|image| image.from_result.is_some()),
         },
         gcp_file: &result.gcp_file,
         crs: result.crs.as_deref(),

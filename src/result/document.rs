@@ -6,8 +6,8 @@ use std::borrow::Cow;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    ChosenModel, FitFigures, ImageInfo, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunResult,
-    SCHEMA_VERSION, SolvedRun, Status, Timings, Warning,
+    ChosenModel, FitFigures, ImageInfo, MatchRow, PriorGeoreference, Reading, RefusedRun, RunOutcome, RunPattern,
+    RunResult, SCHEMA_VERSION, SolvedRun, Status, Timings, Warning,
 };
 use crate::candidate::Candidate;
 use crate::gcp::Gcp;
@@ -80,11 +80,15 @@ pub(super) struct Document<'a> {
     chosen_model: Option<ChosenModel>,
     #[serde(default)]
     warnings: Vec<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    run_pattern: Option<RunPattern>,
     patch: Option<autoref_review::PatchFile>,
     #[serde(default)]
     candidates: Cow<'a, [Candidate]>,
     #[serde(default)]
     files_written: Vec<String>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    files_standing: Vec<String>,
     reading: Option<Reading>,
     #[serde(skip_serializing_if = "Option::is_none")]
     second_pass: Option<SecondPass>,
@@ -152,9 +156,11 @@ impl<'a> Document<'a> {
             heights: solved.and_then(|solved| solved.heights.clone()),
             chosen_model: solved.and_then(|solved| solved.chosen_model.clone()),
             warnings: result.warnings.iter().map(ToString::to_string).collect(),
+            run_pattern: result.run_pattern,
             patch: result.patch.clone(),
             candidates: Cow::Borrowed(&result.candidates),
             files_written: result.files_written.clone(),
+            files_standing: result.files_standing.clone(),
             reading: result.reading.clone(),
             second_pass: result.second_pass.clone(),
             colour_search: result.colour_search.clone(),
@@ -237,8 +243,10 @@ impl TryFrom<Document<'_>> for RunResult {
             prior_georeference: document.prior_georeference,
             diagnoses: document.diagnoses,
             warnings: document.warnings.into_iter().map(Warning::Said).collect(),
+            run_pattern: document.run_pattern,
             patch: document.patch,
             files_written: document.files_written,
+            files_standing: document.files_standing,
             reading: document.reading,
             second_pass: document.second_pass,
             colour_search: document.colour_search,

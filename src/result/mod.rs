@@ -70,9 +70,13 @@ pub struct RunResult {
     /// Mistakes in the list of GCPs that would explain what was seen; none was corrected.
     pub diagnoses: Vec<crate::matching::diagnosis::Diagnosis>,
     pub warnings: Vec<Warning>,
+    /// Of a replay: what [`RunResult::log10_false_alarms`] speaks of.
+    pub run_pattern: Option<RunPattern>,
     /// The review that was replayed, whole: who reads the result sees what was changed by hand.
     pub patch: Option<autoref_review::PatchFile>,
     pub files_written: Vec<String>,
+    /// Of a refused run: files of earlier runs that hold a georeference still.
+    pub files_standing: Vec<String>,
     pub reading: Option<Reading>,
     /// What the self-taught second pass did, when there was one.
     pub second_pass: Option<crate::pipeline::second_pass::SecondPass>,
@@ -154,6 +158,17 @@ pub struct RefusedRun {
     pub best_pattern: Option<Pattern>,
 }
 
+/// The pattern that a run found, and what a review left of it: the chance of a false alarm is the run's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RunPattern {
+    /// Its control points.
+    pub points: usize,
+    /// Those whose marks stayed as the run had found them.
+    pub kept: usize,
+    /// Whether chance makes it as rarely as the run asked for.
+    pub believed: bool,
+}
+
 /// What was read.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ImageInfo {
@@ -163,6 +178,9 @@ pub struct ImageInfo {
     pub bands: usize,
     pub reader: String,
     pub description: String,
+    /// The image from the folder of the result, where that is another than its own (`--out`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from_result: Option<String>,
 }
 
 /// One GCP with the mark that is it.

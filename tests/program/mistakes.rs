@@ -71,11 +71,54 @@ fn a_wrong_zone_is_refused_unless_it_is_named() {
     let before = std::fs::read(dir.join("a.tif.aux.xml")).expect("the georeference");
     let wrong = ["a.tif", "--gcps", "l.csv", "--no-report", "--overwrite", "--crs", "EPSG:25833"];
     answers(&program(dir, &wrong), 1, &["Not solved", "wrong UTM zone", "--force wrong-zone"]);
+    // The georeference of the first run stays in force, which no line said; the refused result remembers it.
+    let stays = ["stays as it is", "a.tfw, a.tif.aux.xml"];
+    answers(&program(dir, &wrong), 1, &stays);
     assert_eq!(std::fs::read(dir.join("a.tif.aux.xml")).expect("still there"), before, "a mistake was written");
+    a_review_does_not_mend_a_list(dir);
+    assert_eq!(std::fs::read(dir.join("a.tif.aux.xml")).expect("still there"), before, "a replay wrote a mistake");
     // Another mistake's name is no leave, a bare --force no name.
     assert_eq!(program(dir, &[&wrong[..], &["--force", "feet"]].concat()).status.code(), Some(1));
     assert_eq!(program(dir, &[&wrong[..], &["--force"]].concat()).status.code(), Some(2));
     answers(&program(dir, &[&wrong[..], &["--force", "wrong-zone"]].concat()), 0, &["Matched"]);
+}
+
+/// A reviewer who accepts every mark of a list in the wrong zone got a georeference 300 km off without a word.
+fn a_review_does_not_mend_a_list(dir: &Path) {
+    let text = std::fs::read_to_string(dir.join("a.autoref.json")).expect("the refused result");
+    let refused: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let pairs = refused["best_pattern"]["pairs"].as_array().expect("proposals");
+    let name = |pair: &serde_json::Value| &refused["gcps"][pair[1].as_u64().expect("an index") as usize]["name"];
+    let edits: Vec<_> = pairs.iter().map(|pair| serde_json::json!({"gcp": name(pair), "action": "accept"})).collect();
+    let patch = serde_json::json!({"schema": "autoref-stream-patch", "schema_version": 1, "for": "gcps",
+        "source": "a.autoref.json", "edits": edits});
+    std::fs::write(dir.join("a.patch.json"), patch.to_string()).expect("writable");
+    let replay = ["solve", "a.autoref.json", "--patch", "a.patch.json", "-o", "r.json", "--overwrite"];
+    answers(&program(dir, &replay), 1, &["Not solved", "wrong UTM zone", "--force wrong-zone"]);
+    answers(&program(dir, &["apply", "r.json", "--overwrite"]), 2, &["no georeference", "wrong UTM zone"]);
+    assert_eq!(program(dir, &[&replay[..], &["--force", "feet"]].concat()).status.code(), Some(1));
+    let likely = ["a mistake in the list is likely", "wrong UTM zone"];
+    answers(&program(dir, &[&replay[..], &["--force", "wrong-zone"]].concat()), 0, &likely);
+    answers(&program(dir, &["apply", "r.json", "--write", "vrt"]), 0, &likely);
+    proposals_that_nobody_accepted_are_no_doubts(dir, &patch);
+    // A patch of the result that was forced needs no leave a second time.
+    let again = ["solve", "r.json", "--patch", "a.patch.json"];
+    answers(&program(dir, &again), 0, &likely);
+}
+
+/// Their own marks were told as others that lie 0.0 px beside their places, and two points had the chance of nine.
+fn proposals_that_nobody_accepted_are_no_doubts(dir: &Path, all: &serde_json::Value) {
+    let mut two = all.clone();
+    let edits = two["edits"].as_array_mut().expect("a list");
+    let points = edits.len();
+    edits.truncate(2);
+    std::fs::write(dir.join("two.patch.json"), two.to_string()).expect("writable");
+    let replay = ["solve", "a.autoref.json", "--patch", "two.patch.json", "--force", "wrong-zone", "-v"];
+    let run = program(dir, &replay);
+    let kept = format!("of its {points} points the review kept 2");
+    answers(&run, 0, &["(proposed: not accepted in the review)", &kept]);
+    let text = said(&run);
+    assert!(!text.contains("displaced") && !text.contains("may be wrong"), "{text}");
 }
 
 #[test]
@@ -286,6 +329,31 @@ fn apply_finds_the_image_beside_the_result() {
     let apply = program(elsewhere.path(), &["apply", result.to_str().expect("plain"), "--write", "vrt"]);
     answers(&apply, 0, &["a.vrt"]);
     assert!(dir.join("a.vrt").exists() && !elsewhere.path().join("a.vrt").exists());
+}
+
+/// After `--out` the documented replay ended where the image is opened: its name was that of the working directory.
+#[test]
+fn a_review_in_the_folder_of_the_outputs_is_written_there() {
+    let (folder, rows) = workplace();
+    let (dir, res) = (folder.path(), folder.path().join("res"));
+    list(dir, "l.csv", TITLES, rows.into_iter());
+    let run = program(dir, &[&["a.tif", "--gcps", "l.csv", "--no-report", "--out", "res"], &ZONE_32[..]].concat());
+    answers(&run, 0, &["Matched"]);
+    let world = || std::fs::read(res.join("a.tfw")).expect("the georeference");
+    let before = world();
+    let text = std::fs::read_to_string(res.join("a.autoref.json")).expect("the result");
+    let result: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let patch = serde_json::json!({"schema": "autoref-stream-patch", "schema_version": 1, "for": "gcps",
+        "source": "a.autoref.json", "edits": [{"gcp": result["matches"][0]["gcp"], "action": "reject"}]});
+    std::fs::write(res.join("a.patch.json"), patch.to_string()).expect("writable");
+    let next = "autoref-stream apply a.reviewed.json --out . --overwrite";
+    let replay = ["solve", "a.autoref.json", "--patch", "a.patch.json", "-o", "a.reviewed.json"];
+    answers(&program(&res, &replay), 0, &["Matched", next]);
+    let words: Vec<&str> = next.split(' ').skip(1).collect();
+    answers(&program(&res, &words), 0, &["a.tfw", "a.vrt"]);
+    assert!(world() != before && !dir.join("a.tfw").exists(), "it was written elsewhere");
+    std::fs::rename(dir.join("a.tif"), dir.join("b.tif")).expect("moved");
+    answers(&program(&res, &words), 2, &["a.reviewed.json: its image", "apply a.reviewed.json IMAGE"]);
 }
 
 /// A name that a spreadsheet would calculate is a text in every table, and reads back as it was.

@@ -41,7 +41,7 @@ pub fn many<P: AsRef<Path>, S: Serializer>(paths: &[P], serializer: S) -> Result
 }
 
 /// A path as a shell takes it.
-pub(crate) fn quoted(path: &Path) -> String {
+pub fn quoted(path: &Path) -> String {
     let text = path.display().to_string();
     let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=,".contains(c);
     if !text.is_empty() && text.chars().all(plain) {

@@ -79,6 +79,13 @@ pub struct Diagnosis {
     pub log10_false_alarms: Option<f64>,
 }
 
+impl Diagnosis {
+    /// Whether it speaks against the whole list and chance hardly explains it: what follows from the list lies wrong.
+    pub fn condemns_list(&self) -> bool {
+        self.certainty == Certainty::Claimed && self.gcps.is_empty()
+    }
+}
+
 /// Where the image's own georeference puts its centre, in the metres of the list.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KnownPlace {

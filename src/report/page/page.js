@@ -51,12 +51,16 @@
     document.body.classList.toggle("edited", edited);
     if (D.status === "solved" && edited) {
       verdict.append(`Fit of ${count(state.control, "point", "points")} with the changes made here`,
-        html("p", { class: "sub" }, "Whether it can be trusted is judged when the patch is replayed."));
+        html("p", { class: "sub" }, "The replay judges this fit by its residuals and its points; the chance of a false alarm stays that of the run's pattern."));
     } else if (D.status === "solved") {
       verdict.append(`Georeferenced from ${count(state.control, "point", "points")}`);
     } else {
       verdict.append(`Not georeferenced: ${D.reason || "no reason given"}`);
-      if (edits.length && state.solution) verdict.append(html("p", { class: "sub" }, `With what was accepted here there is a fit of ${count(state.control, "point", "points")}; replay the patch to have it.`));
+      if (edits.length && state.solution) {
+        const leave = D.advice.some((a) => a.includes("--force")) ? ", unless solve is given the --force that is named here, too" : "";
+        verdict.append(html("p", { class: "sub" }, `With what was accepted here there is a fit of ${count(state.control, "point", "points")}; ${D.condemned
+          ? `the mistake in the list stays, and the replay is refused for it${leave}.` : "replay the patch to have it."}`));
+      }
       if (D.advice.length) verdict.append(html("ul", {}, ...D.advice.map((a) => html("li", {}, a))));
     }
     const s = state.solution, f = state.fit, items = [];
@@ -72,7 +76,7 @@
       if (state.checks) add("RMSE of check points", ground(state.checkRmse), count(state.checks, "point kept out of the fit", "points kept out of the fit"));
       add("Pixel on the ground", `${(s.scale * 100).toFixed(3)} cm`, `turned ${Math.abs(s.rotation).toFixed(4)}° ${s.rotation < -5e-5 ? "clockwise" : "anticlockwise"} from east`);
     }
-    if (D.log10_false_alarms !== null) add("False alarms", chance(D.log10_false_alarms), D.status === "solved"
+    if (D.log10_false_alarms !== null) add("False alarms", chance(D.log10_false_alarms), edited ? "of the run's pattern, before the changes made here" : D.status === "solved"
       ? "that so many marks agree without being the points" : "such patterns in this image by chance alone");
     replace("figures", ...items);
     const note = byId("reviewed");
@@ -85,9 +89,9 @@
     }
   }
   // Stands above what is as the run said it, and is seen once something is changed.
-  const ofRun = () => html("p", { class: "of-run" }, "As the run found it, before the changes made here. The replay of the patch says it anew.");
+  const ofRun = (more = "") => html("p", { class: "of-run" }, `As the run found it, before the changes made here.${more}`);
   function warnings() {
-    if (D.warnings.length) replace("warnings", ofRun(), html("ul", { class: "warnings", "aria-label": "Warnings" }, ...D.warnings.map((w) => html("li", {}, w))));
+    if (D.warnings.length) replace("warnings", ofRun(" The replay judges the new fit, and tells mistakes in the list again."), html("ul", { class: "warnings", "aria-label": "Warnings" }, ...D.warnings.map((w) => html("li", {}, w))));
   }
 
   // ---- overview and expected error
@@ -379,8 +383,8 @@
     replace("cards", ...items, ...gallery);
     byId("marks-note").textContent = order.length
       ? `Each window shows the mark with the shape that was fitted to it; yellow crosses are other candidates, blue ones the place where the ${state.solution ? "fit" : "likeliest pattern, which was not believed,"} has the point. What is changed here changes figures, map, plots and tables at once; verdict, warnings and statements follow with the replay.${pictureless() ? ` The page holds no more windows: ${count(pictureless(), "point has", "points have")} none.` : ""}`
-      : gallery.length ? "No pattern was found. These candidates look most like marks; if they are none, the profile does not fit the paint."
-        : "There is no mark to show.";
+      : (gallery.length ? "No pattern was found. These candidates look most like marks; if they are none, the profile does not fit the paint. " : "There is no mark to show. ")
+        + `Marks that you see yourself are placed by a table: their pixels in a CSV with the titles x and y, then autoref-stream solve MARKS.csv --gcps LIST -o NAME.json --size ${D.image.width},${D.image.height} (and the --crs of this run), and autoref-stream apply NAME.json IMAGE.`;
     byId("editor").hidden = !order.length;
     byId("editor").parentElement.classList.toggle("whole", !order.length);
     byId("undo").disabled = !edits.length;
@@ -510,7 +514,7 @@
     head();
     cards();
     focusCard();
-    say("Patch saved. Replay it with autoref-stream solve.");
+    say("Patch saved. Replay it with autoref-stream solve, and write the georeference with autoref-stream apply: the end of the page has both commands.");
   }
 
   // ---- drawing and keys
@@ -599,7 +603,11 @@
       [MODEL ? `Matrix, ${MODEL}` : "", D.chosen_model && D.chosen_model.matrix ? D.chosen_model.matrix.map((row) => row.join(", ")).join("; ") : null]]);
     const raw = html("details", { class: "noprint" }, html("summary", {}, "All options"), html("pre", {}, JSON.stringify(d.options, null, 1)));
     replace("details", html("div", { class: "columns" }, what, how), raw);
-    byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing. Changes made in it are saved as a patch. Its replay: autoref-stream solve ${quoted(D.source)} --patch ${quoted(beside(".patch.json"))} -o ${quoted(beside(".reviewed.json"))}`;
+    const reviewed = quoted(beside(".reviewed.json")), kinds = o.write && o.write.length ? ` --write ${o.write.join(",")}` : "";
+    const review = ` Changes made in it are saved as a patch. Its replay: autoref-stream solve ${quoted(D.source)} --patch ${quoted(beside(".patch.json"))} -o ${reviewed}`
+      + ` and then, since that changes no georeference: autoref-stream apply ${reviewed}${kinds}${D.image.apart ? " --out ." : ""} --overwrite`;
+    // Without a mark on the page there is nothing to change.
+    byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing.${D.points.some((p, i) => shownAsCard(i)) ? review : ""}`;
   }
 
   // Drawings again in the width that they have now.

@@ -182,7 +182,7 @@ fn review(browser: &mut dyn Page, sample: &Sample, wrong: &str) {
     let rejected = browser.eval("document.querySelector('#figures').textContent");
     assert_ne!(first, rejected, "the page did not follow");
     // What the run said of its own fit is not said of another.
-    let said = "[document.getElementById('verdict').textContent.includes('judged when the patch is replayed'), \
+    let said = "[document.getElementById('verdict').textContent.includes('The replay judges this fit'), \
                 [...document.querySelectorAll('.of-run')].some(p => p.offsetHeight > 0)]";
     assert_eq!(browser.eval(said), serde_json::json!([true, true]));
     browser.key("u", false);

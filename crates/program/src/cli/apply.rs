@@ -6,12 +6,15 @@ use anyhow::bail;
 use autoref_raster as raster;
 use autoref_raster::atomic::Transaction;
 use autoref_raster::memory_plan;
+use autoref_raster::path_text::quoted;
 use autoref_stream::georef::transfer::{self, Edges};
 use autoref_stream::result::RunResult;
 use clap::Args;
 
 use crate::cli::prepare::threads;
 use crate::cli::progress::Telling;
+use crate::cli::recorded_image::recorded_image;
+use crate::cli::summary;
 use crate::cli::values::Bytes;
 use crate::cli::write::{WarpBar, WriteArgs};
 
@@ -57,6 +60,7 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     if let Some(refused) = result.refused() {
         bail!("{}: there is no georeference to apply: {}", args.result.display(), refused.reason);
     }
+    let reservation = summary::reservation(&result);
     let edges = if args.same_extent { Edges::Coincide } else { Edges::Unknown };
     let (image, result, page) = match &args.to {
         // From lists alone: whatever raster is named is the image.
@@ -77,7 +81,7 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     let bar = WarpBar::new(&request, Telling::silent_if(args.quiet || args.json));
     let to_open = request.what_to_open(&request.found(&result)?)?;
     let staged = request.stage(&result, &mut transaction, &|done| bar.set(done))?;
-    let warnings: Vec<String> = to_open.into_iter().chain(staged).collect();
+    let warnings: Vec<String> = reservation.into_iter().chain(to_open).chain(staged).collect();
     drop(bar);
     let written: Vec<String> = transaction.paths().iter().map(|path| path.display().to_string()).collect();
     transaction.commit()?;
@@ -97,23 +101,25 @@ pub fn run(args: &ApplyArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Where the image of a result is: a relative name counts from the folder of the result, not from the working
-/// directory; an image that was moved together with its result lies beside it.
-fn recorded_image(result: &Path, image: &Path) -> PathBuf {
-    let folder = result.parent().unwrap_or(Path::new(""));
-    let beside = [Some(folder.join(image)), image.file_name().map(|name| folder.join(name))];
-    beside.into_iter().flatten().find(|path| path.exists()).unwrap_or_else(|| image.to_path_buf())
+/// What is said where the image that a result names is not there.
+fn missing(args: &ApplyArgs, image: &Path) -> Option<raster::Error> {
+    (args.image.is_none() && !image.exists()).then(|| {
+        raster::Error::usage(
+            format!("{}: its image {} is not there", args.result.display(), image.display()),
+            format!("name it: autoref-stream apply {} IMAGE", quoted(&args.result)),
+        )
+    })
 }
 
 /// The image that was solved, of the same size as then.
 fn image_of(args: &ApplyArgs, result: &RunResult, page: usize) -> anyhow::Result<PathBuf> {
     let solved = result.image.as_ref();
-    let recorded = || solved.map(|image| recorded_image(&args.result, Path::new(&image.path)));
+    let recorded = || solved.map(|image| recorded_image(&args.result, image));
     let Some(image) = args.image.clone().or_else(recorded) else {
         bail!("{}: it names no image; give one: apply RESULT.json IMAGE", args.result.display());
     };
     if let Some(solved) = solved
-        && let (width, height) = raster::size(&image, page)?
+        && let (width, height) = raster::size(&image, page).map_err(|error| missing(args, &image).unwrap_or(error))?
         && (width, height) != (solved.width, solved.height)
     {
         bail!(

@@ -10,7 +10,7 @@ use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::Error;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::GcpList;
-use autoref_stream::matching::diagnosis::{Certainty, KnownPlace, exchanged_labels};
+use autoref_stream::matching::diagnosis::{Certainty, Diagnosis, KnownPlace, exchanged_labels};
 use autoref_stream::matching::{Evidence, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::georeference::{Outcome, Surroundings, diagnose};
 
@@ -98,20 +98,20 @@ fn fits_without(options: &str, pattern: &Pattern) -> String {
 }
 
 /// A solution whose whole list is plainly mistaken is refused, unless the mistake was named: it would be written wrong.
-fn refuse_mistakes(outcome: &mut Outcome, forced: &[Force]) {
+pub fn refuse_mistakes(outcome: &mut Outcome, forced: &[Force]) {
     let Outcome::Solved(orientation) = outcome else { return };
-    let plain = orientation.diagnoses.iter().find_map(|diagnosis| {
-        let whole_list = diagnosis.certainty == Certainty::Claimed && diagnosis.gcps.is_empty();
-        let name = Force::of(diagnosis.mistake).filter(|_| whole_list)?;
-        (!forced.contains(&name)).then(|| (diagnosis.message.clone(), name.name()))
-    });
-    let Some((message, name)) = plain else { return };
-    let advice = vec![
-        "give the --crs that the list is in, or mend the list".into(),
-        format!("to go on in spite of it: --force {name}"),
-    ];
+    let is_forced = |diagnosis: &Diagnosis| Force::of(diagnosis.mistake).is_some_and(|name| forced.contains(&name));
+    let plain = orientation.diagnoses.iter().find(|diagnosis| diagnosis.condemns_list() && !is_forced(diagnosis));
+    let Some(plain) = plain else { return };
+    let advice = match Force::of(plain.mistake) {
+        Some(name) => vec![
+            "give the --crs that the list is in, or mend the list".into(),
+            format!("to go on in spite of it: --force {}", name.name()),
+        ],
+        None => vec!["mend that, and run again".into()],
+    };
     *outcome = Outcome::Refused(Box::new(Evidence {
-        reason: message,
+        reason: plain.message.clone(),
         advice,
         best: Some(orientation.evidence.pattern.clone()),
         runner_up: orientation.evidence.runner_up.clone(),

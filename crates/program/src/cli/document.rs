@@ -60,8 +60,10 @@ impl Document {
             prior_georeference: None,
             diagnoses: evidence.diagnoses,
             warnings: list.notes.iter().cloned().map(Warning::Said).collect(),
+            run_pattern: None,
             patch: None,
             files_written: Vec::new(),
+            files_standing: Vec::new(),
             reading: None,
             second_pass: None,
             colour_search: None,
@@ -98,6 +100,7 @@ impl Document {
             bands: info.bands,
             reader: info.reader.to_string(),
             description: info.description.clone(),
+            from_result: None,
         });
         let scan = run.scan.scan_reads;
         self.result.reading = Some(Reading {

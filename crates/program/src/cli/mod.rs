@@ -40,6 +40,7 @@ pub mod plan;
 pub mod positions;
 mod prepare;
 mod progress;
+mod recorded_image;
 pub mod replay;
 pub mod report;
 pub mod run;

@@ -15,15 +15,18 @@ use autoref_stream::gcp::{GcpList, WorkingCrs};
 use autoref_stream::matching::{Effort, Evidence};
 use autoref_stream::pipeline::georeference::Outcome;
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
-use autoref_stream::replay::{Replayed, replay};
+use autoref_stream::replay::{Replayed, replay, run_pattern};
 use autoref_stream::report;
 use autoref_stream::result::{Misfit, RunResult, Warning};
 
 use crate::cli::accuracy;
 use crate::cli::args::SolveArgs;
+use crate::cli::diagnosis;
 use crate::cli::document::Document;
+use crate::cli::recorded_image::{apply_command, from_result, recorded_image};
 use crate::cli::run;
 use crate::cli::solving;
+use crate::cli::working_crs::Force;
 use autoref_raster::words::counted;
 
 pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Result<ExitCode> {
@@ -47,7 +50,48 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     }
     let crs = recorded.crs.as_deref().map(Crs::parse).transpose()?;
     let list = GcpList { gcps: recorded.gcps.clone(), crs, working_crs: WorkingCrs::local(), notes, hints: Vec::new() };
-    let outcome = match replayed {
+    let mut outcome = outcome(replayed);
+    accuracy::check_nssda(&args.gcps.accuracy, &list)?;
+    let mut document = document(args, &recorded, &list, &outcome);
+    if differs(&patch, document.result.geotransform().map(|g| g.0)) {
+        bail!(
+            "{}: its page had shown another transform: it was not made from {} as that is now; review its page again, or remove `shown` from the patch to replay it all the same",
+            patch_path.display(),
+            args.candidates.display()
+        );
+    }
+    if refuse_again(&mut outcome, &recorded, &args.gcps.working_crs.force) {
+        document = self::document(args, &recorded, &list, &outcome);
+    }
+    let edits = counted(patch.edits.len(), "edit", "edits");
+    document.result.warn(format!("{edits} by hand replayed from {}", patch_path.display()));
+    keep_reasons(&mut document.result, &recorded);
+    settle(&mut document.result, &recorded, &patch);
+    document.result.patch = Some(patch);
+    if let Some(delivery) = &delivery {
+        delivery.apply(&mut document.result);
+    }
+    document.finish(started);
+    if let Some(output) = &args.output {
+        if let Some(image) = &mut document.result.image {
+            let place = recorded_image(&args.candidates, image);
+            image.from_result = if place.exists() { from_result(&place, output) } else { image.from_result.take() };
+        }
+        document.result.files_written.push(output.display().to_string());
+        crate::out::write_text(output, document.result.to_json().as_bytes(), Existing::of_flag(args.overwrite))?;
+    }
+    run::print(&document.result, run::Printing { json: args.json, quiet: args.quiet });
+    if let Some(output) = args.output.as_deref().filter(|_| !args.json && !args.quiet)
+        && document.result.solved().is_some()
+    {
+        // The result alone is written yet, and the image keeps the georeference that it had.
+        println!("{:<16}{}", "To write it", crate::printable(&apply_command(output, &document.result)));
+    }
+    Ok(document.exit_code())
+}
+
+fn outcome(replayed: Replayed) -> Outcome {
+    match replayed {
         Replayed::Solved(orientation) => Outcome::Solved(orientation),
         Replayed::Unsolvable { points } => Outcome::Refused(Box::new(Evidence {
             diagnoses: Vec::new(),
@@ -60,18 +104,22 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
             runner_up: None,
             effort: Effort::default(),
         })),
-    };
-    accuracy::check_nssda(&args.gcps.accuracy, &list)?;
-    let mut document = Document::new(&list, Path::new(&recorded.gcp_file), &outcome, recorded.candidates.clone());
+    }
+}
+
+/// The document of what came of the replay, with what the recorded run knew of the image and was asked for.
+fn document(args: &SolveArgs, recorded: &RunResult, list: &GcpList, outcome: &Outcome) -> Document {
+    let mut document = Document::new(list, Path::new(&recorded.gcp_file), outcome, recorded.candidates.clone());
     let result = &mut document.result;
     result.options = recorded.options.clone();
     // A georeference can be written from what was settled by hand: `apply` wants to know the image.
     result.image = recorded.image.clone();
-    if let Outcome::Solved(orientation) = &outcome {
-        solving::again(result, &recorded, orientation, &list);
+    if let Outcome::Solved(orientation) = outcome {
+        result.run_pattern = Some(run_pattern(recorded, orientation));
+        solving::again(result, recorded, orientation, list);
     }
     let extent = result.extent_px();
-    accuracy::state(result, &list, &args.gcps.accuracy, extent);
+    accuracy::state(result, list, &args.gcps.accuracy, extent);
     if let (Some(solved), Some(image)) = (result.solved(), &recorded.image)
         && let Some(solution) = &solved.solution
         && let Some(errors) = accuracy::error_model(solved)
@@ -81,60 +129,65 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
         let notes = report::plain_warnings(solution, &errors, Misfit::of(result).as_ref(), &marks, size_px);
         result.warnings.extend(notes.into_iter().map(Warning::Said));
     }
-    let edits = counted(patch.edits.len(), "edit", "edits");
-    result.warn(format!("{edits} by hand replayed from {}", patch_path.display()));
-    if differs(&patch, document.result.geotransform().map(|g| g.0)) {
-        bail!(
-            "{}: its page had shown another transform: it was not made from {} as that is now; review its page again, or remove `shown` from the patch to replay it all the same",
-            patch_path.display(),
-            args.candidates.display()
-        );
+    document
+}
+
+/// Refuses anew what the recorded run refused for a mistake of the whole list: a review settles marks, not the list. A
+/// run that solved in spite of one was told so by `--force`, and its verdict says so again. Whether it was refused.
+fn refuse_again(outcome: &mut Outcome, recorded: &RunResult, forced: &[Force]) -> bool {
+    if recorded.refused().is_none() || matches!(outcome, Outcome::Refused(_)) {
+        return false;
     }
-    keep_reasons(&mut document.result, &recorded);
-    settle(&mut document.result, &patch);
-    document.result.patch = Some(patch);
-    if let Some(delivery) = &delivery {
-        delivery.apply(&mut document.result);
-    }
-    document.finish(started);
-    if let Some(output) = &args.output {
-        document.result.files_written.push(output.display().to_string());
-        crate::out::write_text(output, document.result.to_json().as_bytes(), Existing::of_flag(args.overwrite))?;
-    }
-    run::print(&document.result, run::Printing { json: args.json, quiet: args.quiet });
-    Ok(document.exit_code())
+    diagnosis::refuse_mistakes(outcome, forced);
+    let Outcome::Refused(evidence) = outcome else { return false };
+    // What may be accepted stays so for the next replay.
+    evidence.best = recorded.best_pattern().cloned();
+    evidence.runner_up = recorded.runner_up.clone();
+    evidence.effort = recorded.search.clone().unwrap_or_default();
+    true
 }
 
 /// Why points have no mark was seen in the image, which a replay does not look at.
 fn keep_reasons(result: &mut RunResult, recorded: &RunResult) {
     let seen = recorded.solved().map(|run| run.not_found.as_slice()).unwrap_or_default();
+    // What an earlier review settled stays so, whatever lies there.
+    let by_review = |known: &NotFound| matches!(known.reason, Reason::Proposed | Reason::Reviewed);
     let unseen = result.solved_mut().into_iter().flat_map(|run| &mut run.not_found);
-    for lost in unseen.filter(|lost| lost.reason == Reason::Hidden) {
-        if let Some(known) = seen.iter().find(|known| known.name == lost.name && known.reason != Reason::Outside) {
+    for lost in unseen.filter(|lost| lost.reason != Reason::Outside) {
+        let Some(known) = seen.iter().find(|known| known.name == lost.name && known.reason != Reason::Outside) else {
+            continue;
+        };
+        if lost.reason == Reason::Hidden || by_review(known) {
             *lost = NotFound { x: lost.x, y: lost.y, ..known.clone() };
         }
     }
+    for known in seen.iter().filter(|known| by_review(known)) {
+        result.warnings.retain(|warning| !warning.misses(&known.name));
+    }
 }
 
-/// What a person rejected or could not see is no doubt of the program's any more.
-fn settle(result: &mut RunResult, patch: &PatchFile) {
-    let gcps: HashMap<&str, Action> = patch
-        .edits
-        .iter()
-        .filter_map(|edit| match &edit.target {
-            Target::Gcp { gcp } => Some((gcp.as_str(), edit.action)),
-            Target::Fiducial { .. } => None,
-        })
+/// What a person rejected or could not see is no doubt of the program's any more, and a proposal that nobody accepted
+/// is no mark beside its place.
+fn settle(result: &mut RunResult, recorded: &RunResult, patch: &PatchFile) {
+    let proposals = recorded.best_pattern().into_iter().flat_map(|pattern| &pattern.pairs);
+    let mut settled: HashMap<&str, (Reason, &str)> = proposals
+        .map(|pair| (recorded.gcps[pair.1].name.as_str(), (Reason::Proposed, "not accepted in the review")))
         .collect();
-    for (gcp, action) in gcps {
-        let said = match action {
-            Action::Reject => "a review rejected what was found there",
-            Action::NotVisible => "a review could not see it",
-            Action::Accept | Action::Move | Action::Pick => continue,
+    for edit in &patch.edits {
+        let Target::Gcp { gcp } = &edit.target else { continue };
+        match edit.action {
+            Action::Reject => settled.insert(gcp, (Reason::Reviewed, "a review rejected what was found there")),
+            Action::NotVisible => settled.insert(gcp, (Reason::Reviewed, "a review could not see it")),
+            // It has a mark then.
+            Action::Accept | Action::Move | Action::Pick => settled.remove(gcp.as_str()),
         };
+    }
+    for (gcp, (reason, said)) in settled {
         result.warnings.retain(|warning| !warning.misses(gcp));
         let lost = result.solved_mut().into_iter().flat_map(|solved| &mut solved.not_found);
-        lost.filter(|lost| lost.name == gcp).for_each(|lost| lost.detail = said.into());
+        for lost in lost.filter(|lost| lost.name == gcp && lost.reason != Reason::Outside) {
+            *lost = NotFound::new(gcp.to_owned(), reason, PixelPoint { x: lost.x, y: lost.y }, said.into());
+        }
     }
 }
 

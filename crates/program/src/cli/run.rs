@@ -10,8 +10,11 @@ use autoref_raster::atomic::{self, Existing, Transaction};
 use autoref_raster::coords::GeoTransform;
 use autoref_raster::error::Error;
 use autoref_raster::memory_plan;
+use autoref_raster::path_text::quoted;
+use autoref_raster::protected::same_file;
 use autoref_stream::gcp::{self, GcpList};
 use autoref_stream::georef::output::Output;
+use autoref_stream::georef::standing::standing;
 use autoref_stream::georef::write::WriteRequest;
 use autoref_stream::georef::{beneath, dialects};
 use autoref_stream::matching::{Matcher, Priors, RobustMatcher, TimeLimit};
@@ -29,6 +32,7 @@ use crate::cli::args::{GcpArgs, MarkArgs, MatchArgs, PaintArg, ReadArgs};
 use crate::cli::document::Document;
 use crate::cli::prepare::{self, Prepared, Shared};
 use crate::cli::progress::{Bar, Telling};
+use crate::cli::recorded_image::from_result;
 use crate::cli::report::{self, ReportArgs, Watch};
 use crate::cli::solving::{self, SolvingArgs};
 use crate::cli::summary::{Detail, summary};
@@ -233,12 +237,35 @@ fn say_where_it_lies(
     // A note is not worth the run.
     let found = request.found(&document.result).unwrap_or(autoref_stream::georef::shown::Found::Unknown);
     document.prior(info, written, list, &found);
+    if let Some(image) = &mut document.result.image {
+        image.from_result = from_result(&info.path, &request.base);
+    }
     if document.result.solved().is_some() {
         // First, since a brief summary has the first notes only.
         let to_open = request.what_to_open(&found)?.map(Warning::Said);
         document.result.warnings.splice(..0, to_open);
+    } else {
+        say_what_stands(&mut document.result, &request.image, &standing(request, written.as_ref()));
     }
     Ok(())
+}
+
+/// A refused run replaces no georeference: what an earlier one wrote stays in force, right or not.
+fn say_what_stands(result: &mut RunResult, image: &Path, files: &[PathBuf]) {
+    result.files_standing = files.iter().map(|file| file.display().to_string()).collect();
+    if files.is_empty() {
+        return;
+    }
+    let (tagged, beside): (Vec<&PathBuf>, Vec<&PathBuf>) = files.iter().partition(|file| same_file(file, image));
+    let removed = (!beside.is_empty()).then(|| "remove these files if it is wrong".to_owned());
+    let undone = tagged.first().map(|image| format!("autoref-stream undo {} takes back its tags", quoted(image)));
+    let remedy: Vec<String> = removed.into_iter().chain(undone).collect();
+    let said = format!(
+        "what an earlier run wrote stays as it is, and so does the georeference in it: {}; {}",
+        result.files_standing.join(", "),
+        remedy.join("; ")
+    );
+    result.warnings.insert(0, Warning::Said(said));
 }
 
 /// How often a run may look at the image.
@@ -433,6 +460,7 @@ fn options(args: &RunArgs, job: &Job<'_>) -> serde_json::Value {
         "accuracy": args.look.gcps.accuracy.accuracy,
         "accuracy_class_m": args.look.gcps.accuracy.accuracy_class,
         "names": args.look.gcps.names,
+        "write": args.write.write.iter().map(|kind| kind.name()).collect::<Vec<_>>(),
     })
 }
 

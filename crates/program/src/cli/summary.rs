@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 use autoref_stream::matching::diagnosis::{Certainty, Diagnosis};
 use autoref_stream::pipeline::reasons::{NotFound, Reason};
-use autoref_stream::result::{Misfit, RefusedRun, RunOutcome, RunResult, SolvedRun, Twins};
+use autoref_stream::result::{Misfit, RefusedRun, RunOutcome, RunPattern, RunResult, SolvedRun, Twins};
 
 use crate::cli::lengths::length;
 use crate::cli::{accuracy, solving};
@@ -115,12 +115,19 @@ struct Verdict {
     tested: Option<String>,
 }
 
+/// What the verdict says against a result that was solved, for who writes outputs from it later.
+pub fn reservation(result: &RunResult) -> Option<String> {
+    Verdict::against(result, result.solved()?).map(|verdict| verdict.sentence)
+}
+
 impl Verdict {
     fn of(result: &RunResult, run: &SolvedRun) -> Verdict {
-        let chance = result
-            .log10_false_alarms
-            .map(|log10| format!("makes such a pattern in one of 10^{:.0} images", (-log10).max(0.0).floor()));
-        let and_chance = chance.as_ref().map_or(String::new(), |text| format!("; chance {text}"));
+        Verdict::against(result, run).unwrap_or_else(|| Verdict::for_it(result, run))
+    }
+
+    /// What speaks against the result; `None` where nothing does.
+    fn against(result: &RunResult, run: &SolvedRun) -> Option<Verdict> {
+        let chance = chance(result);
         let tested = tested(run);
         let misfit = Misfit::of(result);
         let twins = Twins::of(result).map(|twins| twins.clause(run.fit.scale_m_per_px));
@@ -139,21 +146,25 @@ impl Verdict {
                 sentence += &format!("; {}", misfit.clause());
             }
             sentence.extend(twins.map(|twins| format!("; {twins}")));
-            return Verdict { sentence, chance, tested };
+            return Some(Verdict { sentence, chance, tested });
         }
         if outlier {
+            let and_chance = and_chance(chance.as_deref());
             let sentence =
                 format!("solved, but a point does not fit: look at it before you trust the rest{and_chance}");
             let sentence = twins.map_or(sentence.clone(), |twins| format!("{sentence}; {twins}"));
-            return Verdict { sentence, chance: None, tested };
+            return Some(Verdict { sentence, chance: None, tested });
         }
         if let Some(misfit) = misfit {
             let sentence = twins.map_or(misfit.verdict(), |twins| format!("{}; {twins}", misfit.verdict()));
-            return Verdict { sentence, chance, tested };
+            return Some(Verdict { sentence, chance, tested });
         }
-        if let Some(twins) = twins {
-            return Verdict { sentence: format!("solved, but {twins}"), chance, tested };
-        }
+        twins.map(|twins| Verdict { sentence: format!("solved, but {twins}"), chance, tested })
+    }
+
+    /// Of a result that nothing speaks against: what tests it.
+    fn for_it(result: &RunResult, run: &SolvedRun) -> Verdict {
+        let and_chance = and_chance(chance(result).as_deref());
         let horizontal = run.accuracy.as_ref().and_then(|a| a.figures.horizontal.as_ref());
         let sentence = if let Some(h) = horizontal {
             let rmse = length(h.rmse_h1_m);
@@ -163,14 +174,42 @@ impl Verdict {
             )
         } else if run.matches.len() < FEW_POINTS {
             let points = run.matches.len();
-            format!("solved from {points} points only: a blunder in one would hardly show{and_chance}")
+            let shows =
+                if points < 3 { "nothing would show a blunder in one" } else { "a blunder in one would hardly show" };
+            format!("solved from {points} points only: {shows}{and_chance}")
         } else {
             format!("solved; the points agree with each other, no check point tests them{and_chance}")
         };
         // The sentence has the RMSE already.
-        let tested = tested.filter(|_| run.accuracy.as_ref().is_some_and(|a| a.figures.nssda.is_some()));
+        let tested = tested(run).filter(|_| run.accuracy.as_ref().is_some_and(|a| a.figures.nssda.is_some()));
         Verdict { sentence, chance: None, tested }
     }
+}
+
+/// How often chance makes such a pattern; of a review's, how often it makes the run's.
+fn chance(result: &RunResult) -> Option<String> {
+    let log10 = result.log10_false_alarms?;
+    let images = format!("in one of 10^{:.0} images", (-log10).max(0.0).floor());
+    Some(match result.run_pattern {
+        Some(RunPattern { believed: false, .. }) => format!(
+            "alone makes {} patterns like the run's, which was refused for it: these marks stand by the review alone",
+            expected(log10)
+        ),
+        Some(RunPattern { points, kept, .. }) if kept < points => {
+            format!("made the run's pattern {images}, and of its {points} points the review kept {kept}")
+        }
+        _ => format!("makes such a pattern {images}"),
+    })
+}
+
+/// A number of false alarms.
+fn expected(log10: f64) -> String {
+    if log10 > -3.0 && log10 < 6.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") }
+}
+
+/// The same as the end of a sentence.
+fn and_chance(chance: Option<&str>) -> String {
+    chance.map_or(String::new(), |text| format!("; chance {text}"))
 }
 
 /// What check points say, with the figures that were asked for.
@@ -194,7 +233,9 @@ fn look_at(run: &SolvedRun, verdict: Option<&Diagnosis>) -> Vec<String> {
     // A mark that is there, elsewhere, is worth more of a look than one that is not.
     let not_found = || run.not_found.iter().filter(|point| is_left(&point.name));
     let displaced = not_found().filter(|point| point.reason == Reason::Displaced);
-    let others = not_found().filter(|point| !matches!(point.reason, Reason::Outside | Reason::Displaced));
+    // Somebody has looked at what a review settled.
+    let is_other = |reason: Reason| !matches!(reason, Reason::Outside | Reason::Displaced | Reason::Reviewed);
+    let others = not_found().filter(|point| is_other(point.reason));
     let missing = displaced.chain(others).map(NotFound::line);
     let mut all: Vec<String> = unfit.chain(missing).collect();
     let more = all.len().saturating_sub(LOOKED_AT);
@@ -231,8 +272,10 @@ fn full(result: &RunResult, lines: &mut Lines) {
         }
     }
     if let Some(log10) = result.log10_false_alarms {
-        let figure = if log10 > -3.0 { format!("{:.3}", 10f64.powf(log10)) } else { format!("10^{log10:.1}") };
-        line("False alarms", format!("{figure} such patterns expected by chance"));
+        let of_run = result
+            .run_pattern
+            .map_or(String::new(), |pattern| format!(", by the run's {}", counted(pattern.points, "point", "points")));
+        line("False alarms", format!("{} such patterns expected by chance{of_run}", expected(log10)));
     }
     if let Some(names) = result.solved().and_then(|run| run.names.as_ref()) {
         let against =

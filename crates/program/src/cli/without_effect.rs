@@ -114,6 +114,7 @@ const CASES: [Case; 3] = [
             "overwrite",
             "accuracy_class",
             "nssda",
+            "force",
             "gcps",
             "model",
             "solver",
