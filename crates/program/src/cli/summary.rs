@@ -150,9 +150,10 @@ impl Verdict {
         }
         if outlier {
             let and_chance = and_chance(chance.as_deref());
-            let sentence =
+            let mut sentence =
                 format!("solved, but a point does not fit: look at it before you trust the rest{and_chance}");
-            let sentence = twins.map_or(sentence.clone(), |twins| format!("{sentence}; {twins}"));
+            sentence.extend(misfit.map(|misfit| format!("; {}", misfit.clause())));
+            sentence.extend(twins.map(|twins| format!("; {twins}")));
             return Some(Verdict { sentence, chance: None, tested });
         }
         if let Some(misfit) = misfit {
