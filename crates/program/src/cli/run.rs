@@ -362,7 +362,7 @@ fn advise(
     }
     result.colour_search = colours;
     if result.refused().is_some() {
-        result.advice.extend(unusual(source)?.iter().map(ToString::to_string));
+        result.advice.extend(unusual(source)?.iter().filter_map(|unusual| unusual.advice(profile)));
     }
     Ok(())
 }
