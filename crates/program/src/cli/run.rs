@@ -119,10 +119,10 @@ pub fn first_look(args: &LookArgs) -> anyhow::Result<RunResult> {
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     args.solving.check(Existing::Keep)?;
     let info = source.info();
-    let priors = prepare::priors(info, &args.matching);
+    let priors = prepare::priors((info, written), &args.matching);
     let matcher = prepare::matcher(
         &args.matching,
-        prepare::OwnWord::of(info, &args.matching),
+        prepare::OwnWord::of((info, written), &args.matching),
         Shared { chances: priors.len(), part: 1 },
         &args.matching.limit(),
     )?;
@@ -162,10 +162,11 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let Outputs { request, json, report } = args.outputs(image, &list)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
-    let priors = prepare::priors(info, &args.look.matching);
+    let priors = prepare::priors((info, written), &args.look.matching);
     let looks = args.looks(&detector)?;
     let time_limit = args.look.matching.limit();
-    let matchers = Matchers::of(&args.look.matching, info, priors.len(), list.gcps.len(), looks, &time_limit)?;
+    let own = prepare::OwnWord::of((info, written), &args.look.matching);
+    let matchers = Matchers::of((&args.look.matching, own), priors.len(), list.gcps.len(), looks, &time_limit)?;
     let bar = Bar::new(info, Telling::silent_if(args.look.quiet || args.look.json));
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();
@@ -313,14 +314,12 @@ struct Matchers {
 
 impl Matchers {
     fn of(
-        matching: &MatchArgs,
-        info: &RasterInfo,
+        (matching, own): (&MatchArgs, prepare::OwnWord),
         priors: usize,
         gcps: usize,
         looks: Looks,
         time_limit: &TimeLimit,
     ) -> anyhow::Result<Matchers> {
-        let own = prepare::OwnWord::of(info, matching);
         let of =
             |chances, part| prepare::matcher(matching, own, Shared { chances: priors * chances, part }, time_limit);
         let later = RobustMatcher::later_part(gcps);
