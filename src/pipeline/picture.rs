@@ -8,7 +8,7 @@ use autoref_raster::{FewBits, RasterSource, read_patch};
 const WINDOWS: u64 = 6;
 const SIDE_PX: u64 = 64;
 /// A raster that is read from the top down is looked at only when reading it once more costs little.
-const MOST_SEQUENTIAL_PX: u64 = 100_000_000;
+pub(super) const MOST_SEQUENTIAL_PX: u64 = 100_000_000;
 /// Fewer pixels than these say nothing.
 const FEWEST_PIXELS: usize = 100;
 /// Bare ground, roofs and dry grass are redder than blue. Above this share of coloured pixels that are bluer, by this

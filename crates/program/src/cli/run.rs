@@ -21,6 +21,7 @@ use autoref_stream::pipeline::georeference::{Job, Orientation, Outcome, Refine, 
 use autoref_stream::pipeline::picture::unusual;
 use autoref_stream::pipeline::reasons::reasons;
 use autoref_stream::pipeline::second_pass::{SecondPass, look_closer, second_pass};
+use autoref_stream::profile::Profile;
 use autoref_stream::report::Gathered;
 use autoref_stream::result::{LEAST_MISFIT_PX, RunResult, Warning, residual_rms_px};
 use clap::Args;
@@ -197,12 +198,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.second_pass = second;
-    advise(
-        &mut document.result,
-        colours,
-        &list.hints,
-        (source.as_ref(), &args.look.paint.of(&args.look.marks).profile),
-    )?;
+    advise(&mut document.result, colours, &list.hints, (source.as_ref(), &marks))?;
     document.result.memory_plan = Some(plan.clone());
     let place = solving::ImagePlace::of(info, written);
     let dem = args.look.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
@@ -349,14 +345,19 @@ fn advise(
     result: &mut RunResult,
     colours: Option<ColourSearch>,
     hints: &[String],
-    (source, profile): (&dyn autoref_raster::RasterSource, &str),
+    (source, marks): (&dyn autoref_raster::RasterSource, &MarkArgs),
 ) -> anyhow::Result<()> {
+    let profile = &marks.profile;
     // A mistake in the list is likelier than paint of another colour.
     if result.refused().is_some() {
         result.advice.splice(0..0, hints.iter().cloned());
     }
     if let Some(search) = &colours {
-        result.advice.extend(search.advice(profile));
+        let paints = search.advice(profile);
+        if paints.is_empty() {
+            result.advice.extend(other_sizes(result, marks));
+        }
+        result.advice.extend(paints);
         result.warnings.extend(search.note(profile).map(Warning::Said));
     }
     result.colour_search = colours;
@@ -364,6 +365,23 @@ fn advise(
         result.advice.extend(unusual(source)?.iter().filter_map(|unusual| unusual.advice(profile)));
     }
     Ok(())
+}
+
+/// Which marks were not looked for, where nothing that was found is explained by the list.
+fn other_sizes(result: &RunResult, marks: &MarkArgs) -> Option<String> {
+    /// log₁₀ of how many such patterns chance produces: with less the marks are found.
+    const HARDLY: f64 = -1.0;
+    /// With fewer candidates the refusal itself names the sizes.
+    const FEWEST: usize = 3;
+    let best = result.refused()?.best_pattern.as_ref();
+    let is_explained = !result.diagnoses.is_empty();
+    if marks.mark_size.is_some() || is_explained || result.candidates_found < FEWEST {
+        return None;
+    }
+    let (low, high) = Profile::load(&marks.profile).ok()?.side_range_px(None).ok()?;
+    best.is_none_or(|best| best.log10_false_alarms > HARDLY).then(|| {
+        format!("marks smaller than {low:.0} px or larger than {high:.0} px are not looked for: give their --mark-size")
+    })
 }
 
 /// What the looks at the image gave.
