@@ -212,6 +212,21 @@ pub(crate) fn one_gcp_each(expected: &[Expected], scanned: &[Candidate], answers
     }
 }
 
+/// Whether a scan with this detector would see a mark about a place.
+///
+/// # Errors
+/// When the window cannot be read.
+pub(crate) fn shows_a_mark(
+    source: &dyn RasterSource,
+    detector: &dyn Detector,
+    position: PixelPoint,
+    radius_px: f64,
+) -> Result<bool> {
+    let expected = Expected { gcp: 0, position, radius_px };
+    let seen = look_in_window(source, detector, &expected)?;
+    Ok(seen.iter().any(|candidate| distance(candidate, &expected) <= radius_px))
+}
+
 fn look_in_window(source: &dyn RasterSource, detector: &dyn Detector, expected: &Expected) -> Result<Vec<Candidate>> {
     let info = source.info();
     let pixel = Window::new(expected.position.x as u64, expected.position.y as u64, 1, 1);

@@ -103,6 +103,13 @@ pub(super) fn refuse_no_degrees(path: &Path, points: &[RawPoint], crs: &Crs) -> 
     }
 }
 
+/// The zone of UTM in which a geocentric place lies, to the third of a degree in latitude that an ellipsoid makes.
+fn utm_of_geocentric(place: &Gcp) -> Option<Crs> {
+    let (x, y, z) = (place.easting, place.northing, place.height?);
+    let (longitude, latitude) = (y.atan2(x), z.atan2(x.hypot(y)));
+    Crs::from_epsg(4326).ok()?.utm_zone(longitude.to_degrees(), latitude.to_degrees()).ok()
+}
+
 /// Coordinates that count from the centre of the Earth are no map's: all lie as far from it as the ground does, and
 /// none has a height that ground has.
 pub(super) fn refuse_geocentric(path: &Path, points: &[RawPoint]) -> Result<()> {
@@ -114,12 +121,14 @@ pub(super) fn refuse_geocentric(path: &Path, points: &[RawPoint]) -> Result<()> 
             .is_some_and(|z| z.abs() > HIGHEST_M && RADII_M.contains(&p.gcp.easting.hypot(p.gcp.northing).hypot(z)))
     };
     match points.first() {
-        Some(first) if points.iter().all(is_geocentric) => Err(Error::format(
-            path,
-            &first.place,
-            "the coordinates count from the centre of the Earth (geocentric X, Y, Z): bring them to a map first, for \
-             example with `cs2cs EPSG:4978 EPSG:32633`",
-        )),
+        Some(first) if points.iter().all(is_geocentric) => {
+            let zone = utm_of_geocentric(&first.gcp).map_or("EPSG:…".to_owned(), |crs| crs.label());
+            let what = format!(
+                "the coordinates count from the centre of the Earth (geocentric X, Y, Z): bring them to a map first, for \
+                 example with `cs2cs EPSG:4978 {zone}`"
+            );
+            Err(Error::format(path, &first.place, what))
+        }
         _ => Ok(()),
     }
 }

@@ -5,9 +5,12 @@
 
 use std::path::Path;
 
+use crate::gcp::Gcp;
+use crate::gcp::degrees;
+use crate::gcp::elsewhere::{Elsewhere, Titles, in_brackets};
 use crate::gcp::options::ImageGeoreference;
 use crate::gcp::raw::RawPoint;
-use crate::gcp::{degrees, place};
+use crate::gcp::units::Unit;
 use autoref_raster::coords::{MapPoint, PixelPoint};
 use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
@@ -40,21 +43,26 @@ impl ImageGeoreference {
     }
 }
 
+/// The CRS of an image; with the area of use, which images do not hold and the authority knows.
+pub(super) fn system_of(image: &ImageGeoreference) -> Result<Crs> {
+    let written = Crs::parse(&image.crs_wkt)?;
+    written.epsg().map_or(Ok(written), Crs::from_epsg)
+}
+
 /// The CRS of a list that names none: the image's, when most points lie on the image, as they stand or exchanged
-/// (which [`place::check`] tells); of an image that does not say where it lies, in the CRS's area of use. `None` beside
-/// an image whose own CRS is local: the list is local too.
+/// (which `place::check` tells), brought out of the unit that the list names; of an image that does not say where it
+/// lies, in the CRS's area of use. `None` beside an image whose own CRS is local: the list is local too.
 ///
 /// # Errors
 /// [`Error::Format`] with the remedy when the points lie elsewhere.
 pub(super) fn adopt(
     path: &Path,
     points: &[RawPoint],
+    unit: Option<Unit>,
     image: &ImageGeoreference,
     notes: &mut Vec<String>,
 ) -> Result<Option<Crs>> {
-    let written = Crs::parse(&image.crs_wkt)?;
-    // Images do not hold the area of use, which the authority knows.
-    let crs = written.epsg().map_or(Ok(written), Crs::from_epsg)?;
+    let crs = system_of(image)?;
     if crs.is_local() {
         return Ok(None);
     }
@@ -64,16 +72,35 @@ pub(super) fn adopt(
             (crs.is_geographic() || !is_local) && crs.covers(at.easting, at.northing) != Some(false)
         })
     };
-    let most =
-        |place: &dyn Fn(&RawPoint) -> MapPoint| points.iter().filter(|p| belongs(place(p))).count() * 2 >= points.len();
-    let exchanged = |p: &RawPoint| MapPoint { easting: p.gcp.northing, northing: p.gcp.easting };
-    if most(&|p| p.gcp.position()) || most(&exchanged) {
+    let lie_here = |points: &[RawPoint]| {
+        let most = |place: &dyn Fn(&RawPoint) -> MapPoint| {
+            points.iter().filter(|p| belongs(place(p))).count() * 2 >= points.len()
+        };
+        let exchanged = |p: &RawPoint| MapPoint { easting: p.gcp.northing, northing: p.gcp.easting };
+        most(&|p| p.gcp.position()) || most(&exchanged)
+    };
+    // The unit in the head of a drawing may be its template's: as they stand is asked first.
+    let brought = brought_to(&crs, points, unit);
+    if lie_here(points) || brought.as_deref().is_some_and(lie_here) {
         notes.push(format!("{} names no CRS: it was taken to be the image's, {}", path.display(), crs.title()));
         return Ok(Some(crs));
     }
     degrees::refuse_degrees(path, points)?;
-    Err(elsewhere(path, points, image, &crs))
+    Err(elsewhere(path, brought.as_deref().unwrap_or(points), image, &crs))
 }
+
+/// The points in the unit of a CRS, where their list counts in another.
+fn brought_to(crs: &Crs, points: &[RawPoint], unit: Option<Unit>) -> Option<Vec<RawPoint>> {
+    let unit = unit.filter(|unit| !crs.is_geographic() && !unit.is(crs.metres_per_unit()))?;
+    let by = unit.metres / crs.metres_per_unit();
+    let brought = |p: &RawPoint| {
+        let (easting, northing) = (p.gcp.easting * by, p.gcp.northing * by);
+        RawPoint::bare(Gcp { easting, northing, ..p.gcp.clone() }, p.place.clone())
+    };
+    Some(points.iter().map(brought).collect())
+}
+
+const LOCAL: &str = "or --crs local if they are local metres";
 
 fn elsewhere(path: &Path, points: &[RawPoint], image: &ImageGeoreference, crs: &Crs) -> Error {
     let count = points.len() as f64;
@@ -88,14 +115,19 @@ fn elsewhere(path: &Path, points: &[RawPoint], image: &ImageGeoreference, crs: &
         None if image.transform.is_some() => "elsewhere than the image says it is".to_string(),
         None => "outside its area of use, or near its origin".to_string(),
     };
-    let hint = place::inside_otherwise(points, crs, Some(image)).map_or(String::new(), |how| format!(" ({how})"));
+    let how = Elsewhere::of(points, crs, Some(image));
+    let remedy = match &how {
+        Some(how @ Elsewhere::Digits(_)) => format!("{}, {LOCAL}", how.remedy(path, Titles::MayNameUnits)),
+        Some(how) => how.remedy(path, Titles::MayNameUnits),
+        None => format!("give the --crs that they are in, {LOCAL}"),
+    };
     Error::format(
         path,
         "the coordinates",
         format!(
-            "the list names no CRS, and in the image's, {}, its points lie {whereabouts}{hint}; give the --crs that they \
-             are in, or --crs local if they are local metres",
-            crs.title()
+            "the list names no CRS, and in the image's, {}, its points lie {whereabouts}{}; {remedy}",
+            crs.title(),
+            in_brackets(&how)
         ),
     )
 }

@@ -56,7 +56,10 @@ impl TitledUnits {
     }
 
     /// Of both coordinates.
-    fn plan_unit(&self, path: &Path) -> Result<Option<Unit>> {
+    ///
+    /// # Errors
+    /// [`Error::Format`] when they name two.
+    pub(super) fn plan_unit(&self, path: &Path) -> Result<Option<Unit>> {
         let [easting, northing] = &self.plan;
         if let (Some((a, first)), Some((b, second))) = (easting, northing)
             && a != b

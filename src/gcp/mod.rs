@@ -21,6 +21,7 @@ pub mod convert;
 mod csv_list;
 mod degrees;
 mod dxf;
+mod elsewhere;
 mod geojson;
 mod headerless;
 mod heights;
@@ -60,8 +61,8 @@ mod wkt;
 mod working_crs;
 mod xml;
 
+pub use elsewhere::leading_digits;
 pub use options::{GcpOptions, ImageGeoreference};
-pub use place::leading_digits;
 pub use read::{GcpList, read, settle_places};
 pub use working_crs::{Delivered, Reproject, WorkingCrs};
 

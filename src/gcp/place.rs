@@ -3,13 +3,13 @@
 
 use std::path::Path;
 
-use crate::gcp::Gcp;
+use crate::gcp::elsewhere::{Elsewhere, Titles, in_brackets};
 use crate::gcp::options::{GcpOptions, ImageGeoreference};
 use crate::gcp::raw::RawPoint;
-use autoref_raster::coords::{MapPoint, PixelPoint};
-use autoref_raster::crs::{Coordinate, Crs};
+use crate::gcp::{Gcp, image_crs};
+use autoref_raster::coords::MapPoint;
+use autoref_raster::crs::Crs;
 use autoref_raster::error::{Error, Result};
-use autoref_raster::units::FOOT_M;
 use autoref_raster::words::first_of;
 
 /// No coordinate on Earth is larger, in metres, feet or degrees.
@@ -18,12 +18,6 @@ const LARGEST_COORDINATE: f64 = 1e9;
 const NEAR_DEG: f64 = 1.0;
 /// ... and, as they stand, the points lie this far off.
 const FAR_DEG: f64 = 5.0;
-
-const MILLIMETRES: &str = "they would lie in it if they were millimetres, brought to metres";
-const FEET: &str = "they would lie in it if they were feet, brought to metres";
-const MINUS: &str = "they would lie in it with a minus sign before both coordinates";
-const MINUS_EXCHANGED: &str = "they would lie in it with a minus sign before both coordinates, and these exchanged";
-const OTHER_ZONE: &str = "by their size they are metres of another zone, or of the other hemisphere";
 
 /// Sets aside what lies outside the CRS's area of use, or refuses when nothing lies inside; exchanges the columns where
 /// that mends it and the caller asked for it.
@@ -73,7 +67,9 @@ pub(super) fn check(
         points.iter_mut().for_each(|p| std::mem::swap(&mut p.gcp.easting, &mut p.gcp.northing));
         notes.push(format!("{}: {axes} were exchanged in all points (--fix-axes)", path.display()));
     }
-    if !options.keep_outside {
+    if options.keep_outside {
+        notes.extend(kept_outside(path, points, crs, options.image.as_ref()));
+    } else {
         set_aside(path, points, crs, options.image.as_ref(), notes)?;
     }
     refuse_absurd(path, points)
@@ -160,6 +156,9 @@ pub(super) fn may_be_exchanged(path: &Path, gcps: &[Gcp], crs: Option<&Crs>, opt
             })
         }
         None => {
+            if let Some(hint) = not_local(path, gcps, options.image.as_ref()) {
+                return Some(hint);
+            }
             let is_utm = |e: f64, n: f64| (1e5..1e6).contains(&e) && (1e6..1e7).contains(&n);
             if gcps.iter().all(|gcp| is_utm(gcp.easting, gcp.northing)) {
                 return None;
@@ -178,6 +177,22 @@ pub(super) fn may_be_exchanged(path: &Path, gcps: &[Gcp], crs: Option<&Crs>, opt
         }
         Some(_) => None,
     }
+}
+
+/// That coordinates which were said to be local are those of the image's CRS in another unit.
+fn not_local(path: &Path, gcps: &[Gcp], image: Option<&ImageGeoreference>) -> Option<String> {
+    let crs = image_crs::system_of(image?).ok().filter(|crs| !crs.is_local() && !crs.is_geographic())?;
+    let points: Vec<RawPoint> = gcps.iter().map(|gcp| RawPoint::bare(gcp.clone(), "")).collect();
+    let is_outside = |p: &RawPoint| crs.covers(p.gcp.easting, p.gcp.northing) == Some(false);
+    let how = Elsewhere::of(&points, &crs, image).filter(Elsewhere::is_of_large_numbers)?;
+    let title = crs.title();
+    points.iter().all(is_outside).then(|| {
+        format!(
+            "{}: in the image's CRS, {title}, {how}: {}, and leave --crs local out",
+            path.display(),
+            how.remedy(path, Titles::MayNameUnits)
+        )
+    })
 }
 
 /// Longitude and latitude of the middle of an image.
@@ -214,7 +229,7 @@ fn set_aside(
     if names.is_empty() {
         return Ok(());
     }
-    refuse_elsewhere(path, points, crs, image, ", or --force outside-area")?;
+    refuse_elsewhere(path, points, crs, image, (Titles::MayNameUnits, ", or --force outside-area"))?;
     points.retain(|p| !outside(p));
     notes.push(format!(
         "{}: set aside, outside the area of use of {}: {} (--force outside-area keeps them)",
@@ -223,6 +238,28 @@ fn set_aside(
         first_of(&names, 8)
     ));
     Ok(())
+}
+
+/// What is said of points that stay though they lie outside: what is written with them may lie nowhere.
+fn kept_outside(path: &Path, points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> Option<String> {
+    let is_outside = |p: &&RawPoint| crs.covers(p.gcp.easting, p.gcp.northing) == Some(false);
+    let (name, title) = (path.display(), crs.title());
+    let outside: Vec<String> = points.iter().filter(is_outside).map(|p| p.gcp.name.clone()).collect();
+    if outside.is_empty() {
+        return None;
+    }
+    if outside.len() < points.len() {
+        let names = first_of(&outside, 8);
+        return Some(format!("{name}: outside the area of use of {title}, and kept (--force outside-area): {names}"));
+    }
+    let how = Elsewhere::of(points, crs, image);
+    let remedy = how.as_ref().map_or(String::new(), |how| format!("; {}", how.remedy(path, Titles::MayNameUnits)));
+    Some(format!(
+        "{name}: {} outside the area of use of {title}{}, and --force outside-area keeps them: what is written lies \
+         there too{remedy}",
+        all_lie(points.len()),
+        in_brackets(&how)
+    ))
 }
 
 /// For a list that is written again as it is: what shows that the CRS is not that of the coordinates is refused, and
@@ -245,7 +282,7 @@ pub(super) fn refuse_known_mistakes(
         );
         return Err(Error::format(path, "the coordinates", what));
     }
-    refuse_elsewhere(path, points, crs, None, "")?;
+    refuse_elsewhere(path, points, crs, None, (Titles::AreNone, ""))?;
     refuse_absurd(path, points)?;
     let outside = |p: &&RawPoint| crs.covers(p.gcp.easting, p.gcp.northing) == Some(false);
     let names: Vec<String> = points.iter().filter(outside).map(|p| p.gcp.name.clone()).collect();
@@ -256,7 +293,8 @@ pub(super) fn refuse_known_mistakes(
     Ok(())
 }
 
-/// Refuses points of which none lies in the CRS's area of use; `way_out` is what else the caller may do.
+/// Refuses points of which none lies in the CRS's area of use. `titles`: whether those of a table's columns are read
+/// again, so that they may name a unit; `way_out` is what else the caller may do where nothing else helps.
 ///
 /// # Errors
 /// [`Error::Format`] with what would bring them there.
@@ -265,116 +303,19 @@ pub(super) fn refuse_elsewhere(
     points: &[RawPoint],
     crs: &Crs,
     image: Option<&ImageGeoreference>,
-    way_out: &str,
+    (titles, way_out): (Titles, &str),
 ) -> Result<()> {
     if points.is_empty() || points.iter().any(|p| crs.covers(p.gcp.easting, p.gcp.northing) != Some(false)) {
         return Ok(());
     }
-    let how = inside_otherwise(points, crs, image);
-    // To keep feet where they lie as metres would help nobody.
-    let is_drawing = path.extension().is_some_and(|end| end.eq_ignore_ascii_case("dxf"));
-    let is_of_other_unit = [MILLIMETRES, FEET].iter().any(|unit| how.as_deref() == Some(*unit));
-    let remedy = if is_drawing && is_of_other_unit {
-        "scale the drawing to metres, or set its unit ($INSUNITS)".to_owned()
-    } else if how.as_deref() == Some(MILLIMETRES) {
-        "call the columns `Easting (mm)` and `Northing (mm)`".to_owned()
-    } else if how.as_deref() == Some(MINUS) {
-        "write both with a minus sign".to_owned()
-    } else if how.as_deref() == Some(MINUS_EXCHANGED) {
-        "write easting = −Y (westing) and northing = −X (southing), under these titles".to_owned()
-    } else if how.as_deref() == Some(FEET) && !way_out.is_empty() {
-        "call the columns `Easting (US ft)` and `Northing (US ft)`, or `(ift)` where they are international feet, or \
-         give a --crs that counts in feet"
-            .to_owned()
-    } else {
-        format!("give the --crs that they are in{way_out}")
+    let how = Elsewhere::of(points, crs, image);
+    let remedy = match &how {
+        Some(how) => how.remedy(path, titles),
+        None => format!("give the --crs that they are in{way_out}"),
     };
     Err(Error::format(
         path,
         "the coordinates",
-        format!(
-            "{} outside the area of use of {}{}; {remedy}",
-            all_lie(points.len()),
-            crs.title(),
-            how.map_or(String::new(), |how| format!(" ({how})"))
-        ),
+        format!("{} outside the area of use of {}{}; {remedy}", all_lie(points.len()), crs.title(), in_brackets(&how)),
     ))
-}
-
-/// What would bring all points into the CRS's area of use, or onto the image: feet, millimetres, the zone's number
-/// before the eastings, leading digits left out.
-pub(super) fn inside_otherwise(points: &[RawPoint], crs: &Crs, image: Option<&ImageGeoreference>) -> Option<String> {
-    const ZONE_M: f64 = 1e6;
-    const LEAST_MM: f64 = 1e8;
-    /// Metres within the zones of UTM, from the equator to 84°; feet of eastings in the middle of a zone are more.
-    const UTM_E: std::ops::RangeInclusive<f64> = 1.6e5..=8.4e5;
-    const UTM_N: std::ops::RangeInclusive<f64> = 0.0..=1e7;
-    // International and US survey feet are the same here.
-    let all = |place: &dyn Fn(f64, f64) -> (f64, f64)| {
-        points.iter().all(|p| {
-            let (e, n) = place(p.gcp.easting, p.gcp.northing);
-            crs.covers(e, n) == Some(true)
-        })
-    };
-    let zone = (points.first()?.gcp.easting / ZONE_M).floor();
-    if (1.0..=60.0).contains(&zone) && all(&|e, n| (e - zone * ZONE_M, n)) {
-        let title = crs.title();
-        let own = title.split("zone ").nth(1).map(|rest| rest.split(|c: char| !c.is_ascii_digit()).next());
-        return match own {
-            Some(Some(own)) if own == zone.to_string() => {
-                Some(format!("they would lie in it without the zone's number {zone} before the eastings"))
-            }
-            Some(_) => Some(format!("the {zone} before the eastings is another zone's number")),
-            None => None,
-        };
-    }
-    if let Some(image) = image
-        && let Some((e, n)) = centre_in(image, crs)
-    {
-        let count = points.len() as f64;
-        let mean = |of: &dyn Fn(&RawPoint) -> f64| points.iter().map(of).sum::<f64>() / count;
-        let wanted = (e - mean(&|p| p.gcp.easting), n - mean(&|p| p.gcp.northing));
-        let (corner, middle) = (image.transform?.apply(PixelPoint { x: 0.0, y: 0.0 }), image.middle()?);
-        let reach = (corner.easting - middle.easting).hypot(corner.northing - middle.northing);
-        if let Some(digits) = leading_digits(wanted, reach.min(2_000.0)) {
-            return Some(format!("they would lie on the image with {digits}"));
-        }
-    }
-    if all(&|e, n| (-e, -n)) {
-        return Some(MINUS.to_string());
-    }
-    if all(&|e, n| (-n, -e)) {
-        return Some(MINUS_EXCHANGED.to_string());
-    }
-    let feet = |e: f64, n: f64| (e * FOOT_M, n * FOOT_M);
-    if all(&feet) {
-        // Where every number is one that metres have in some zone of UTM, as its edges are narrow, that is likelier.
-        let is_of_zones = |p: &RawPoint| UTM_E.contains(&p.gcp.easting) && UTM_N.contains(&p.gcp.northing);
-        if crs.title().contains("UTM zone") && points.iter().all(is_of_zones) {
-            return Some(OTHER_ZONE.to_string());
-        }
-        return Some(FEET.to_string());
-    }
-    // A hundred kilometres. What is less in millimetres lies at the corner of a zone, on the equator.
-    let far = points.iter().all(|p| p.gcp.easting.abs().max(p.gcp.northing.abs()) >= LEAST_MM);
-    (far && all(&|e, n| (e / 1000.0, n / 1000.0))).then(|| MILLIMETRES.to_string())
-}
-
-/// What, added to all coordinates, is about as much as wanted (east, north) when only leading digits are changed: whole
-/// numbers of ten kilometres. In words; `None` where it is not so.
-pub fn leading_digits(wanted_m: (f64, f64), agrees_m: f64) -> Option<String> {
-    const STEP_M: f64 = 10_000.0;
-    let steps = |m: f64| Some((m / STEP_M).round()).filter(|steps| (m - steps * STEP_M).abs() <= agrees_m);
-    let (east, north) = (steps(wanted_m.0)? * STEP_M, steps(wanted_m.1)? * STEP_M);
-    let said = |by: f64, axis: &str| (by != 0.0).then(|| format!("{by:+.0} in all {axis}"));
-    let both: Vec<String> = said(east, "eastings").into_iter().chain(said(north, "northings")).collect();
-    (!both.is_empty()).then(|| format!("{}: digits were left out, or put before them", both.join(" and ")))
-}
-
-/// The middle of an image in another CRS.
-fn centre_in(image: &ImageGeoreference, crs: &Crs) -> Option<(f64, f64)> {
-    let MapPoint { easting, northing } = image.middle()?;
-    let mut point = [Coordinate { x: easting, y: northing, height: None }];
-    Crs::parse(&image.crs_wkt).ok()?.transform(&mut point, crs, f64::INFINITY).ok()?;
-    Some((point[0].x, point[0].y))
 }

@@ -6,10 +6,12 @@ use crate::gcp::degrees::{
     latitude_first, look_like_degrees, refuse_degrees, refuse_degrees_of_map, refuse_geocentric, refuse_no_degrees,
     within_degrees,
 };
+use crate::gcp::elsewhere::Titles;
 use crate::gcp::options::GcpOptions;
 use crate::gcp::order::{self, Shown};
 use crate::gcp::raw::{ColumnOrder, CrsClaim, RawList, RawPoint};
 use crate::gcp::select::chosen;
+use crate::gcp::units::Unit;
 use crate::gcp::working_crs::WorkingCrs;
 use crate::gcp::{Gcp, GcpRole, accuracy_list, heights, image_crs, metres, place, recognise, working_crs};
 use autoref_raster::crs::Crs;
@@ -70,6 +72,8 @@ pub(super) fn settled(
     if let Some(crs) = &stated {
         working_crs::refuse_mirror_image(crs, "--crs")?;
     }
+    // As the list has them: no order of the columns makes a map of them.
+    refuse_geocentric(path, &points)?;
     order::settle(path, &mut points, order, stated.as_ref(), shown, &mut notes)?;
     if let Some(crs) = &stated {
         refuse_no_degrees(path, &points, crs)?;
@@ -81,7 +85,6 @@ pub(super) fn settled(
             refuse_thousands(path, &points, crs, &cell)?;
         }
     }
-    refuse_geocentric(path, &points)?;
     Ok((points, stated, notes))
 }
 
@@ -135,7 +138,7 @@ fn finish(path: &Path, mut raw: RawList, options: &GcpOptions) -> Result<GcpList
     let (mut points, stated, mut notes) = settled(path, raw, options.crs.as_deref(), shown)?;
     let source = match stated {
         Some(crs) => Some(crs),
-        None => unnamed(path, &points, options, &mut notes)?,
+        None => unnamed(path, &points, units.plan_unit(path)?.or(drawn_in), options, &mut notes)?,
     };
     if let Some(crs) = &source {
         refuse_no_degrees(path, &points, crs)?;
@@ -162,13 +165,20 @@ fn finish(path: &Path, mut raw: RawList, options: &GcpOptions) -> Result<GcpList
     Ok(list)
 }
 
-/// The CRS of a list that names none: the image's, or local metres (`None`).
-fn unnamed(path: &Path, points: &[RawPoint], options: &GcpOptions, notes: &mut Vec<String>) -> Result<Option<Crs>> {
+/// The CRS of a list that names none: the image's, or local metres (`None`); `unit` is what the list says that its
+/// coordinates count in.
+fn unnamed(
+    path: &Path,
+    points: &[RawPoint],
+    unit: Option<Unit>,
+    options: &GcpOptions,
+    notes: &mut Vec<String>,
+) -> Result<Option<Crs>> {
     if options.crs.as_deref().is_some_and(is_local_word) {
         return Ok(None);
     }
     if let Some(image) = &options.image
-        && let Some(crs) = image_crs::adopt(path, points, image, notes)?
+        && let Some(crs) = image_crs::adopt(path, points, unit, image, notes)?
     {
         return Ok(Some(crs));
     }
@@ -300,7 +310,7 @@ pub fn settle_places(path: &Path, places: &mut [[f64; 3]], crs: Option<&Crs>) ->
     if let Some(crs) = crs {
         refuse_no_degrees(path, &points, crs)?;
         refuse_degrees_of_map(path, &points, crs)?;
-        place::refuse_elsewhere(path, &points, crs, None, "")?;
+        place::refuse_elsewhere(path, &points, crs, None, (Titles::AreNone, ""))?;
     }
     for (place, point) in places.iter_mut().zip(&points) {
         (place[0], place[1]) = (point.gcp.easting, point.gcp.northing);

@@ -16,6 +16,7 @@ pub(super) fn explain(
 ) -> Evidence {
     let mut advice = Vec::new();
     let open = open_questions(known);
+    let (few, options) = (control.len() < FEW, open.join(" and "));
     let reason = if candidates < 3 {
         advice.push(
             "check that the profile fits the paint: try another --profile, or learn one with `sample`; marks larger or \
@@ -24,15 +25,16 @@ pub(super) fn explain(
         );
         format!("{} found; a pattern needs at least 3", counted(candidates, "candidate", "candidates"))
     } else if control.len() < 3 {
-        advice.push("give at least 3 control points; 4 or 5 visible ones are needed to be sure".to_string());
+        advice.push(format!("give at least 3 control points; {FEW} or more that are seen are needed to be sure"));
         format!("{} in the list; a pattern needs at least 3", counted(control.len(), "control point", "control points"))
     } else if let Some(best) = &best {
         let beaten = best.log10_false_alarms <= limit;
         let rival = runner_up.as_ref().filter(|_| beaten);
         advice.extend(rival.map(|rival| told_apart_by(best, rival, (gcps, control), known)));
+        let (produced, most) = told_apart(best.log10_false_alarms, limit);
         let allowed = match beaten {
             true => String::new(),
-            false => format!(", where at most {} may be (--max-false-alarms)", scientific(limit)),
+            false => format!(", where at most {most} may be (--max-false-alarms)"),
         };
         let rival = rival.map_or(String::new(), |other| {
             format!(
@@ -42,31 +44,36 @@ pub(super) fn explain(
             )
         });
         format!(
-            "the best pattern joins {} of {} GCPs in the image, and chance alone would produce {} such patterns{allowed}\
-             {rival}",
+            "the best pattern joins {} of {} GCPs in the image, and chance alone would produce {produced} such \
+             patterns{allowed}{rival}",
             best.pairs.len(),
             best.gcps_in_image,
-            scientific(best.log10_false_alarms),
         )
     } else if control.len() == 3 {
-        let mut help = open.clone();
-        help.push("a fourth point");
-        advice.push(format!("give {}", help.join(", or ")));
         format!("three points cannot prove a pattern among {candidates} candidates without other knowledge")
     } else {
         format!(
             "no three of {candidates} candidates lie like GCPs of the list in a way that chance would not produce as well"
         )
     };
-    if advice.is_empty() {
+    if advice.is_empty() && few {
+        let with = if open.is_empty() { String::new() } else { format!(", 4 with {options}") };
+        let often = if control.len() < 4 { "3 hardly ever do" } else { "4 alone often do not" };
+        advice.push(format!(
+            "give more points: {FEW} or more that are seen in the image mostly prove a pattern{with}; {often}"
+        ));
+    } else if advice.is_empty() {
         advice
             .push("more marks in the image, or fewer false candidates (a stricter --profile, --mark-size)".to_string());
         if !open.is_empty() {
-            advice.push(format!("if they are known: {}", open.join(" and ")));
+            advice.push(format!("if they are known: {options}"));
         }
     }
     Evidence { reason, advice, best, runner_up, effort, diagnoses: Vec::new() }
 }
+
+/// So many points prove a pattern among some dozens of candidates by themselves.
+const FEW: usize = 5;
 
 /// Scales and directions that are told apart by what people know of an image.
 const OTHER_SCALE: f64 = 1.25;
@@ -74,11 +81,14 @@ const TURNED_DEG: f64 = 20.0;
 
 const SCALE: &str = "the ground sample distance (--gsd)";
 const NORTH: &str = "the direction of north (--north-up)";
+const OWN_SCALE: &str = "the ground sample distance (--gsd; the image's own is taken loosely)";
+const OWN_NORTH: &str = "the direction of north (--north-up; the image's own is not taken for granted)";
 
-/// What the search has not been told, by the user or by the image, and would be helped by.
+/// What the user has not told the search, which would be narrower by it: what the image says is not taken for granted,
+/// so that a figure of the user's helps there too.
 fn open_questions((priors, of_image): (&Priors, OfImage)) -> Vec<&'static str> {
-    let scale = (is_scale_open(priors) && !of_image.scale).then_some(SCALE);
-    let north = (priors.rotation_deg.is_none() && !of_image.north).then_some(NORTH);
+    let scale = is_scale_open(priors).then_some(if of_image.scale { OWN_SCALE } else { SCALE });
+    let north = priors.rotation_deg.is_none().then_some(if of_image.north { OWN_NORTH } else { NORTH });
     scale.into_iter().chain(north).collect()
 }
 
@@ -181,6 +191,20 @@ fn listed_twice(best: &Pattern, rival: &Pattern, gcps: &[Gcp]) -> Option<(usize,
     (2 * same_marks.len() >= best.pairs.len() && most(twins.len(), renamed.len())).then(|| *twins[0])
 }
 
+/// Two numbers for people, with so many digits that they differ.
+fn told_apart(log10: f64, other: f64) -> (String, String) {
+    const MOST_DIGITS: usize = 4;
+    let both = (scientific(log10), scientific(other));
+    if both.0 != both.1 || log10 == other {
+        return both;
+    }
+    let of_digits = |digits: usize| {
+        let said = |log10: f64| format!("{:.digits$e}", 10f64.powf(log10));
+        (said(log10), said(other))
+    };
+    (1..MOST_DIGITS).map(of_digits).find(|(one, other)| one != other).unwrap_or(both)
+}
+
 /// 10^x for people.
 pub(super) fn scientific(log10: f64) -> String {
     let value = 10f64.powf(log10);
@@ -199,7 +223,7 @@ pub(super) fn scientific(log10: f64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::scientific;
+    use super::*;
 
     #[test]
     fn numbers_are_those_of_people() {
@@ -207,5 +231,38 @@ mod tests {
             assert_eq!(scientific(f64::log10(value)), said);
         }
         assert_eq!([scientific(75.3), scientific(-400.0)], ["2e75", "1e-400"]);
+    }
+
+    /// A pattern was refused for 0.0001 such patterns where 0.0001 may be.
+    #[test]
+    fn a_number_just_above_its_limit_is_told_from_it() {
+        assert_eq!(told_apart(-3.93, -4.0), ("1.2e-4".to_owned(), "1.0e-4".to_owned()));
+        assert_eq!(told_apart(-1.0, -4.0), ("0.1".to_owned(), "0.0001".to_owned()));
+        assert_eq!(told_apart(-4.0, -4.0), ("0.0001".to_owned(), "0.0001".to_owned()));
+    }
+
+    /// Three points were sent for one more, which proves nothing; what the image says of itself kept back the figures
+    /// of the user that help.
+    #[test]
+    fn few_points_are_sent_for_enough_and_for_what_the_user_knows() {
+        let gcps: Vec<Gcp> =
+            (0..4).map(|k| Gcp::control(format!("G{k}"), f64::from(k * k), f64::from(3 * k))).collect();
+        let advice = |points: usize, priors: &Priors, of_image: OfImage| {
+            let control: Vec<usize> = (0..points).collect();
+            explain(31, (&gcps, &control), None, None, (Effort::default(), -4.0), (priors, of_image)).advice.join("; ")
+        };
+        let nothing = Priors::default();
+        for points in [3, 4] {
+            let said = advice(points, &nothing, OfImage::default());
+            assert!(
+                said.contains("5 or more") && said.contains("(--gsd) and") && said.contains("--north-up"),
+                "{said}"
+            );
+        }
+        let said = advice(4, &nothing, OfImage { scale: true, north: true });
+        assert!(said.contains("--gsd; the image's own is taken loosely") && said.contains("--north-up"), "{said}");
+        let all = Priors { gsd_m_per_px: Some((0.02, 0.03)), rotation_deg: Some((0.0, 2.0)), image_size_px: None };
+        let said = advice(3, &all, OfImage::default());
+        assert!(said.contains("5 or more") && !said.contains("--gsd") && !said.contains("--north-up"), "{said}");
     }
 }

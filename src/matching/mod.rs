@@ -85,8 +85,8 @@ pub struct Priors {
     pub image_size_px: Option<(f64, f64)>,
 }
 
-/// What the image's own georeference or resolution says, whether or not it is believed: nobody needs to be asked for
-/// it.
+/// What the image's own georeference or resolution says, whether or not it is believed: the search takes it loosely, so
+/// that a figure of the user's helps still.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OfImage {
     pub scale: bool,

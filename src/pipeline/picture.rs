@@ -1,7 +1,5 @@
 //! What a picture says of itself when nothing was found in it: samples of a few bits in many, no colours, no pixels.
 
-use std::fmt;
-
 use autoref_raster::error::Result;
 use autoref_raster::window::Window;
 use autoref_raster::{FewBits, RasterSource, read_patch};
@@ -10,7 +8,7 @@ use autoref_raster::{FewBits, RasterSource, read_patch};
 const WINDOWS: u64 = 6;
 const SIDE_PX: u64 = 64;
 /// A raster that is read from the top down is looked at only when reading it once more costs little.
-const MOST_SEQUENTIAL_PX: u64 = 100_000_000;
+pub(super) const MOST_SEQUENTIAL_PX: u64 = 100_000_000;
 /// Fewer pixels than these say nothing.
 const FEWEST_PIXELS: usize = 100;
 /// Bare ground, roofs and dry grass are redder than blue. Above this share of coloured pixels that are bluer, by this
@@ -34,24 +32,31 @@ pub enum Unusual {
     },
 }
 
-impl fmt::Display for Unusual {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Unusual::Dark(few) => write!(f, "{few}"),
-            Unusual::Grey => f.write_str(
-                "the picture is grey, and paint is told by its colour: take the picture in colour, or look for shapes \
-                 (--profile black-white-cross, black-white-checker)",
+impl Unusual {
+    /// What helps, for people who looked with `profile`; `None` where that does not mind.
+    pub fn advice(&self, profile: &str) -> Option<String> {
+        /// Found by their shape, in grey.
+        const SHAPES: [&str; 3] = ["black-white-cross", "black-white-checker", "black-white-hourglass"];
+        Some(match *self {
+            Unusual::Dark(few) => few.to_string(),
+            Unusual::Grey if SHAPES.contains(&profile) => {
+                let others: Vec<&str> = SHAPES.into_iter().filter(|shape| *shape != profile).collect();
+                format!("where the targets are of another shape: --profile {}", others.join(" or "))
+            }
+            Unusual::Grey => format!(
+                "the picture is grey, and paint is told by its colour: take the picture in colour, or look for targets of \
+                 black and white by their shape (--profile {})",
+                SHAPES.join(" or ")
             ),
-            Unusual::Bluish { share } => write!(
-                f,
+            Unusual::Bluish { share } => format!(
                 "{:.0} % of the pixels looked at are bluer than red: if the bands stand in the order blue, green, red, bring them \
                  in order (gdal_translate -b 3 -b 2 -b 1)",
                 100.0 * share
             ),
             Unusual::Empty { share } => {
-                write!(f, "{:.0} % of the pixels looked at hold nothing (nodata, transparent)", 100.0 * share)
+                format!("{:.0} % of the pixels looked at hold nothing (nodata, transparent)", 100.0 * share)
             }
-        }
+        })
     }
 }
 
@@ -124,6 +129,17 @@ mod tests {
         assert!(matches!(bgr[..], [Unusual::Bluish { share }] if share == 1.0), "{bgr:?}");
         assert_eq!(of(|i| [140 + (i % 30) as u8, 90, 60 + (i % 40) as u8]), []);
         let twelve_bits = Unusual::Dark(FewBits { brightest: 4080, white: 65_535 });
-        assert!(twelve_bits.to_string().ends_with("--white 4095"), "{twelve_bits}");
+        let said = twelve_bits.advice("orange").expect("it helps");
+        assert!(said.ends_with("--white 4095"), "{said}");
+    }
+
+    /// A grey picture that was searched for checkers was sent to the checkers.
+    #[test]
+    fn nobody_is_sent_to_the_shape_that_was_looked_for() {
+        let said = |profile: &str| Unusual::Grey.advice(profile).expect("another shape");
+        assert!(said("orange").contains("black-white-checker") && said("orange").contains("in colour"));
+        let (checker, cross) = (said("black-white-checker"), said("black-white-cross"));
+        assert!(!checker.contains("checker") && checker.contains("black-white-cross"), "{checker}");
+        assert!(!cross.contains("black-white-cross") && cross.contains("black-white-checker"), "{cross}");
     }
 }

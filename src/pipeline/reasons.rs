@@ -194,6 +194,10 @@ pub fn reasons(
             all.push(NotFound::new(name, Reason::Hidden, at, detail));
             continue;
         }
+        if let Some(detail) = source.and_then(|source| cut_by_border(source, at, side_px)) {
+            all.push(NotFound::new(name, Reason::Hidden, at, detail));
+            continue;
+        }
         let seen = match source {
             Some(source) => {
                 if middle.is_none() {
@@ -213,6 +217,15 @@ pub fn reasons(
         all.push(NotFound::new(name, Reason::Outside, expected(gcp), "the image does not reach there".into()));
     }
     Ok(all)
+}
+
+/// What is said of a place so near the border of the image that a mark there cannot lie in it whole, whatever the
+/// picture shows.
+fn cut_by_border(source: &dyn RasterSource, at: PixelPoint, side_px: f64) -> Option<String> {
+    let (width, height) = (source.info().width as f64, source.info().height as f64);
+    let off_px = at.x.min(at.y).min(width - at.x).min(height - at.y);
+    (off_px < side_px / 2.0)
+        .then(|| format!("its place lies {off_px:.1} px from the image's border, which cuts a mark of {side_px:.0} px"))
 }
 
 fn places<'a>(marks: impl Iterator<Item = &'a FoundMark>) -> Vec<PixelPoint> {
@@ -527,6 +540,17 @@ mod tests {
         assert_eq!(serde_json::from_str::<NotFound>(&text).expect("its own text"), point);
         let old = r#"{"name": "7", "reason": "hidden", "detail": "ground", "x": 1.0, "y": 2.0}"#;
         assert_eq!(serde_json::from_str::<NotFound>(old).expect("an old file").reason, Reason::Hidden);
+    }
+
+    /// Grass at the border, where no whole mark can lie, was said to be something of another colour.
+    #[test]
+    fn a_place_at_the_border_is_said_to_lie_there() {
+        let source = autoref_raster::memory::MemorySource::rgb8(100, 80, vec![90; 100 * 80 * 3]);
+        let said = |x: f64, y: f64| cut_by_border(&source, PixelPoint { x, y }, 12.0);
+        for (x, y) in [(50.0, 79.5), (50.0, 0.5), (0.5, 40.0), (99.5, 40.0)] {
+            assert!(said(x, y).is_some_and(|detail| detail.contains("0.5 px from the image's border")), "{x}, {y}");
+        }
+        assert!(said(50.0, 40.0).is_none() && said(50.0, 73.0).is_none());
     }
 
     /// A plate that stands out plainly and was no target by its shape was said to be faint.

@@ -1,6 +1,7 @@
 //! What titles and systems say of coordinates: units, degrees, and axes that are exchanged or turned.
 
-use autoref_stream::gcp::{self, GcpList, GcpOptions, Reproject};
+use autoref_raster::coords::GeoTransform;
+use autoref_stream::gcp::{self, GcpList, GcpOptions, ImageGeoreference, Reproject};
 
 fn read(text: &str, options: &GcpOptions) -> Result<GcpList, String> {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -166,6 +167,46 @@ fn millimetres_are_recognised_outside_the_area_of_use() {
     let titled = rows.replace("easting,northing", "Easting (mm),Northing (mm)");
     let list = read(&titled, &within("EPSG:25832")).expect("the remedy helps");
     assert!((list.gcps[0].easting - 570_642.549).abs() < 1e-6, "{:?}", list.gcps[0]);
+}
+
+/// Feet, and a zone's number before the eastings, were sent to options that wrote them as they were, or in a circle.
+#[test]
+fn what_a_refusal_beside_an_image_advises_makes_the_list_readable() {
+    let image = ImageGeoreference {
+        crs_wkt: "EPSG:32632".into(),
+        transform: Some(GeoTransform([570_000.0, 0.03, 0.0, 7_033_000.0, 0.0, -0.03])),
+        size_px: (4000, 3000),
+    };
+    let beside = GcpOptions { image: Some(image), ..GcpOptions::default() };
+    let rows = |titles: &str, more: f64, unit: f64| {
+        let points = [("A", 570_050.0, 7_032_950.0), ("B", 570_100.0, 7_032_960.0), ("C", 570_070.0, 7_032_920.0)];
+        let row = |(name, e, n): (&str, f64, f64)| format!("{name},{:.4},{:.4}\n", (e + more) / unit, n / unit);
+        format!("name,{titles}\n{}", points.map(row).concat())
+    };
+    let said = |text: &str, options: &GcpOptions| read(text, options).expect_err("a mistake");
+    for (unit, name) in [(0.3048, "ift"), (1200.0 / 3937.0, "US ft")] {
+        let feet = said(&rows("easting,northing", 0.0, unit), &beside);
+        assert!(feet.contains("if they were feet") && feet.contains(&format!("({name})")), "{feet}");
+        assert!(!feet.contains("--crs local"), "{feet}");
+        let list = read(&rows(&format!("Easting ({name}),Northing ({name})"), 0.0, unit), &beside).expect("the remedy");
+        assert!((list.gcps[0].easting - 570_050.0).abs() < 1e-3, "{:?}", list.gcps[0]);
+        assert_eq!(list.crs.map(|crs| crs.label()).as_deref(), Some("EPSG:32632"));
+    }
+    refused(&rows("Easting (ft),Northing (ft)", 0.0, 0.3048), &beside, &["no certain kind", "(ift)"]);
+    let local = GcpOptions { crs: Some("local".into()), ..beside.clone() };
+    let hints = read(&rows("easting,northing", 0.0, 0.3048), &local).expect("local numbers").hints.join("; ");
+    assert!(hints.contains("leave --crs local out") && !hints.contains("exchange"), "{hints}");
+
+    let zone_32 = within("EPSG:32632");
+    let zone = said(&rows("easting,northing", 32e6, 1.0), &zone_32);
+    assert!(zone.contains("take the 32 away from all eastings") && !zone.contains("--force"), "{zone}");
+    let other = said(&rows("easting,northing", 33e6, 1.0), &zone_32);
+    assert!(other.contains("take the 33 away") && other.contains("--crs of zone 33"), "{other}");
+    let kept = GcpOptions { keep_outside: true, ..zone_32 };
+    let notes = read(&rows("easting,northing", 32e6, 1.0), &kept).expect("forced").notes.join("; ");
+    assert!(notes.contains("zone's number 32") && notes.contains("--force outside-area"), "{notes}");
+    let geocentric = "name,X,Y,Z\nA,2815101.483,516965.179,5680848.831\nB,2815081.472,516976.042,5680857.880\n";
+    refused(geocentric, &beside, &["`cs2cs EPSG:4978 EPSG:32632`"]);
 }
 
 /// The name of the system in Emlid's tables was not understood.

@@ -111,6 +111,22 @@ fn a_second_run_carries_the_georeference_as_the_first_does() {
     says_the_same("tags");
 }
 
+/// The answer of the first run bore witness for itself: it narrowed the search of the second, which then stated a
+/// smaller chance.
+#[test]
+fn a_second_run_takes_nothing_from_the_first_for_its_chance() {
+    let folder = workplace();
+    let run = || {
+        let job = ["drawn.tif", "--gcps", "l.csv", "--crs", "EPSG:25832", "--no-report", "--overwrite", "--json"];
+        let output = ran(folder.path(), &[&job[..], &["--second-pass=never"]].concat());
+        serde_json::from_slice::<Value>(&output.stdout).expect("one document")
+    };
+    let (first, second) = (run(), run());
+    assert!(folder.path().join("drawn.tif.aux.xml").exists(), "the first run wrote its answer");
+    assert_eq!(second["options"]["priors"], first["options"]["priors"]);
+    assert!(first["options"]["priors"].is_array(), "{}", first["options"]);
+}
+
 /// The model has the georeference that the image came with, and was read where the marks are on the map.
 #[test]
 fn a_second_run_reads_heights_where_the_first_did() {

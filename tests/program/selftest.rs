@@ -168,6 +168,29 @@ fn a_small_image_is_planted_several_times_and_says_what_is_missing() {
     assert!(result.advice.is_none() && result.rows[0].rmse_px.is_none());
 }
 
+/// In a grey picture other paints and larger marks were advised, which nobody finds there either.
+#[test]
+fn of_a_grey_picture_it_says_what_helps() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let (image, size) = (folder.path().join("grey.tif"), (600, 500));
+    let driver = gdal::DriverManager::get_driver_by_name("GTiff").expect("there");
+    let file = driver.create_with_band_type::<u8, _>(&image, size.0, size.1, 1).expect("created");
+    let values = (0..size.0 * size.1).map(|i| 60 + (i * 7919 % 83) as u8).collect();
+    file.rasterband(1)
+        .expect("there")
+        .write((0, 0), size, &mut gdal::raster::Buffer::new(size, values))
+        .expect("written");
+    file.close().expect("written");
+    let run = Command::new(env!("CARGO_BIN_EXE_autoref-stream"))
+        .arg("selftest")
+        .arg(&image)
+        .args(["--sizes", "12", "--marks", "10"])
+        .output();
+    let text = String::from_utf8_lossy(&run.expect("the program starts").stdout).into_owned();
+    assert!(text.contains("the picture is grey") && text.contains("black-white-checker"), "{text}");
+    assert!(!text.contains("another paint"), "{text}");
+}
+
 #[test]
 fn the_command_leaves_the_file_alone_and_gives_advice() {
     let folder = tempfile::tempdir().expect("a temporary folder");

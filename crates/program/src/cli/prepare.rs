@@ -193,11 +193,17 @@ fn prior_scale(info: &RasterInfo) -> Option<(f64, f64)> {
     }
 }
 
+/// The same, but for what an earlier run has `written`: that came of the list, and would bear witness for itself.
+fn own_scale(info: &RasterInfo, written: Option<GeoTransform>) -> Option<(f64, f64)> {
+    let geotransform = info.geotransform.filter(|own| written != Some(*own));
+    prior_scale(&RasterInfo { geotransform, ..info.clone() })
+}
+
 /// The ladder of priors: what the caller and the image say, then (when the image said anything) without the image's
-/// part.
-pub fn priors(info: &RasterInfo, matching: &MatchArgs) -> Vec<Priors> {
+/// part. An earlier run's answer is none of them.
+pub fn priors((info, written): (&RasterInfo, Option<GeoTransform>), matching: &MatchArgs) -> Vec<Priors> {
     let size = Some((info.width as f64, info.height as f64));
-    let own_scale = prior_scale(info).filter(|_| matching.prior == PriorArg::Auto);
+    let own_scale = own_scale(info, written).filter(|_| matching.prior == PriorArg::Auto);
     let asked = Priors {
         gsd_m_per_px: matching.gsd.map(|g| (g.0, g.1)),
         rotation_deg: matching.north_up.map(|half| (0.0, half)),
@@ -221,14 +227,14 @@ pub struct OwnWord {
 }
 
 impl OwnWord {
-    pub fn of(info: &RasterInfo, matching: &MatchArgs) -> OwnWord {
+    pub fn of((info, written): (&RasterInfo, Option<GeoTransform>), matching: &MatchArgs) -> OwnWord {
         if matching.prior != PriorArg::Auto {
             return OwnWord::default();
         }
         let is_mirrored = |&GeoTransform(g): &GeoTransform| g[1] * g[5] - g[2] * g[4] > 0.0;
         OwnWord {
             handedness: info.geotransform.filter(is_mirrored).map(|_| Handedness::Mirrored),
-            of_image: OfImage { scale: prior_scale(info).is_some(), north: info.geotransform.is_some() },
+            of_image: OfImage { scale: own_scale(info, written).is_some(), north: info.geotransform.is_some() },
         }
     }
 }

@@ -24,6 +24,7 @@ use autoref_stream::pipeline::georeference::{Job, Orientation, Outcome, Refine, 
 use autoref_stream::pipeline::picture::unusual;
 use autoref_stream::pipeline::reasons::reasons;
 use autoref_stream::pipeline::second_pass::{SecondPass, look_closer, second_pass};
+use autoref_stream::profile::Profile;
 use autoref_stream::report::Gathered;
 use autoref_stream::result::{LEAST_MISFIT_PX, RunResult, Warning, residual_rms_px};
 use clap::Args;
@@ -123,10 +124,10 @@ pub fn first_look(args: &LookArgs) -> anyhow::Result<RunResult> {
     let list = gcp::read(gcp_file, &args.gcps.options(Some(source.info())))?;
     args.solving.check(Existing::Keep)?;
     let info = source.info();
-    let priors = prepare::priors(info, &args.matching);
+    let priors = prepare::priors((info, written), &args.matching);
     let matcher = prepare::matcher(
         &args.matching,
-        prepare::OwnWord::of(info, &args.matching),
+        prepare::OwnWord::of((info, written), &args.matching),
         Shared { chances: priors.len(), part: 1 },
         &args.matching.limit(),
     )?;
@@ -166,10 +167,11 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     let Outputs { request, json, report } = args.outputs(image, &list)?;
     let open_s = started.elapsed().as_secs_f64();
     let info = source.info();
-    let priors = prepare::priors(info, &args.look.matching);
+    let priors = prepare::priors((info, written), &args.look.matching);
     let looks = args.looks(&detector)?;
     let time_limit = args.look.matching.limit();
-    let matchers = Matchers::of(&args.look.matching, info, priors.len(), list.gcps.len(), looks, &time_limit)?;
+    let own = prepare::OwnWord::of((info, written), &args.look.matching);
+    let matchers = Matchers::of((&args.look.matching, own), priors.len(), list.gcps.len(), looks, &time_limit)?;
     let bar = Bar::new(info, Telling::silent_if(args.look.quiet || args.look.json));
     let watch = Watch::new(&bar, source.as_ref(), detector.as_detector(), &args.report);
     let refiner = detector.relaxed();
@@ -200,12 +202,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<ExitCode> {
     document.result.options = options(args, &job);
     document.describe_reading(info, &run, source.stats(), open_s);
     document.result.second_pass = second;
-    advise(
-        &mut document.result,
-        colours,
-        &list.hints,
-        (source.as_ref(), &args.look.paint.of(&args.look.marks).profile),
-    )?;
+    advise(&mut document.result, colours, &list.hints, (source.as_ref(), &marks))?;
     document.result.memory_plan = Some(plan.clone());
     let place = solving::ImagePlace::of(info, written);
     let dem = args.look.solving.apply(&mut document.result, &run.outcome, &list, &place)?;
@@ -340,14 +337,12 @@ struct Matchers {
 
 impl Matchers {
     fn of(
-        matching: &MatchArgs,
-        info: &RasterInfo,
+        (matching, own): (&MatchArgs, prepare::OwnWord),
         priors: usize,
         gcps: usize,
         looks: Looks,
         time_limit: &TimeLimit,
     ) -> anyhow::Result<Matchers> {
-        let own = prepare::OwnWord::of(info, matching);
         let of =
             |chances, part| prepare::matcher(matching, own, Shared { chances: priors * chances, part }, time_limit);
         let later = RobustMatcher::later_part(gcps);
@@ -377,21 +372,43 @@ fn advise(
     result: &mut RunResult,
     colours: Option<ColourSearch>,
     hints: &[String],
-    (source, profile): (&dyn autoref_raster::RasterSource, &str),
+    (source, marks): (&dyn autoref_raster::RasterSource, &MarkArgs),
 ) -> anyhow::Result<()> {
+    let profile = &marks.profile;
     // A mistake in the list is likelier than paint of another colour.
     if result.refused().is_some() {
         result.advice.splice(0..0, hints.iter().cloned());
     }
     if let Some(search) = &colours {
-        result.advice.extend(search.advice(profile));
+        let paints = search.advice(profile);
+        if paints.is_empty() {
+            result.advice.extend(other_sizes(result, marks));
+        }
+        result.advice.extend(paints);
         result.warnings.extend(search.note(profile).map(Warning::Said));
     }
     result.colour_search = colours;
     if result.refused().is_some() {
-        result.advice.extend(unusual(source)?.iter().map(ToString::to_string));
+        result.advice.extend(unusual(source)?.iter().filter_map(|unusual| unusual.advice(profile)));
     }
     Ok(())
+}
+
+/// Which marks were not looked for, where nothing that was found is explained by the list.
+fn other_sizes(result: &RunResult, marks: &MarkArgs) -> Option<String> {
+    /// log₁₀ of how many such patterns chance produces: with less the marks are found.
+    const HARDLY: f64 = -1.0;
+    /// With fewer candidates the refusal itself names the sizes.
+    const FEWEST: usize = 3;
+    let best = result.refused()?.best_pattern.as_ref();
+    let is_explained = !result.diagnoses.is_empty();
+    if marks.mark_size.is_some() || is_explained || result.candidates_found < FEWEST {
+        return None;
+    }
+    let (low, high) = Profile::load(&marks.profile).ok()?.side_range_px(None).ok()?;
+    best.is_none_or(|best| best.log10_false_alarms > HARDLY).then(|| {
+        format!("marks smaller than {low:.0} px or larger than {high:.0} px are not looked for: give their --mark-size")
+    })
 }
 
 /// What the looks at the image gave.

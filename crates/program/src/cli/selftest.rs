@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::bail;
+use autoref_stream::pipeline::picture::{Unusual, unusual};
 use autoref_stream::profile::{self, Profile};
 use autoref_stream::segment::reference::PaintTest;
 use autoref_stream::selftest::{self, Selftest, SelftestOptions, WANTED_RECALL};
@@ -16,6 +17,7 @@ use crate::cli::args::{DEFAULT_PROFILE, MarkArgs, ReadArgs};
 use crate::cli::prepare;
 use crate::cli::progress::{Bar, Telling};
 use crate::cli::values::{Gsd, MarkSize};
+use autoref_raster::RasterSource;
 use autoref_raster::words::counted;
 
 /// Plant marks into an image as it is read (the file is not touched), run the detector, and say what it finds of them.
@@ -101,16 +103,18 @@ pub fn run(args: &SelftestArgs) -> anyhow::Result<ExitCode> {
     };
     let result = selftest::selftest(&prepared.source, prepared.detector.as_detector(), &planner, &options, &bar)?;
     bar.finish();
+    let may_help = if result.advice.is_none() { may_help(prepared.source.as_ref(), &marks)? } else { Vec::new() };
     if args.json {
         let document = serde_json::json!({
             "program": format!("autoref-stream {}", env!("CARGO_PKG_VERSION")),
             "image": args.image.display().to_string(),
             "profile": marks.profile,
             "selftest": result,
+            "may_help": may_help,
         });
         println!("{}", serde_json::to_string_pretty(&document)?);
     } else if !args.quiet {
-        print!("{}", words(&result, args.gsd.map(Gsd::middle_m)));
+        print!("{}", words(&result, args.gsd.map(Gsd::middle_m), &may_help));
     }
     Ok(if result.advice.is_some() { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
@@ -128,6 +132,17 @@ fn marks(args: &SelftestArgs) -> anyhow::Result<MarkArgs> {
         println!("Looked for as with --paint \"{profile}\": the profile {DEFAULT_PROFILE} does not take this colour");
     }
     Ok(MarkArgs { profile, ..args.profile.clone() })
+}
+
+/// What helps where no size is found: in a grey picture no paint and no size does.
+fn may_help(source: &dyn RasterSource, marks: &MarkArgs) -> anyhow::Result<Vec<String>> {
+    let unusual = unusual(source)?;
+    let larger = match (unusual.contains(&Unusual::Grey), Profile::load(&marks.profile)?.is_target()) {
+        (true, false) => None,
+        (_, true) => Some("use larger marks".to_owned()),
+        (false, false) => Some("use another paint or larger marks".to_owned()),
+    };
+    Ok(larger.into_iter().chain(unusual.iter().filter_map(|unusual| unusual.advice(&marks.profile))).collect())
 }
 
 /// How the marks are painted: as in the benchmark, but for what was asked.
@@ -190,7 +205,7 @@ fn sizes(args: &SelftestArgs, range_px: (f64, f64)) -> anyhow::Result<Vec<f64>> 
     Ok(if ladder.is_empty() { vec![(low + high) / 2.0] } else { ladder })
 }
 
-fn words(result: &Selftest, gsd_m: Option<f64>) -> String {
+fn words(result: &Selftest, gsd_m: Option<f64>, may_help: &[String]) -> String {
     let mut out = String::new();
     let mut line = |text: String| writeln!(out, "{text}").expect("a string takes all writes");
     line(format!(
@@ -236,7 +251,7 @@ fn words(result: &Selftest, gsd_m: Option<f64>) -> String {
             let surely = if advice.sure { ", surely" } else { "; more --marks would narrow it" };
             format!("Smallest size found in {percent} % of the cases: {} px{metres}{surely}", advice.side_px)
         }
-        None => format!("No size tried was found in {percent} % of the cases: use another paint or larger marks"),
+        None => format!("No size tried was found in {percent} % of the cases: {}", may_help.join("; ")),
     });
     out
 }
