@@ -57,6 +57,10 @@ fn an_image_of_one_row_has_a_report_too() {
     browser.open(&sample.path("thin.report.html"));
     assert_eq!(browser.complaints(), Vec::<String>::new());
     assert!(browser.eval("document.getElementById('verdict').textContent").to_string().contains("Not georeferenced"));
+    // What has no mark to change does not explain how changes are replayed, but how marks are placed.
+    let said = |id: &str| format!("document.getElementById('{id}').textContent");
+    assert!(!browser.eval(&said("foot")).to_string().contains("--patch"), "there is nothing to replay");
+    assert!(browser.eval(&said("marks-note")).to_string().contains("solve MARKS.csv"), "the way by a table");
     // Where nothing can be written: a folder below a file.
     let below = sample.path("thin.tif").join("out");
     let output = autoref(&[
