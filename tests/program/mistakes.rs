@@ -113,7 +113,7 @@ fn proposals_that_nobody_accepted_are_no_doubts(dir: &Path, all: &serde_json::Va
     let points = edits.len();
     edits.truncate(2);
     std::fs::write(dir.join("two.patch.json"), two.to_string()).expect("writable");
-    let replay = ["solve", "a.autoref.json", "--patch", "two.patch.json", "--force", "wrong-zone", "-v"];
+    let replay = ["solve", "a.autoref.json", "--patch", "two.patch.json", "--force", "wrong-zone"];
     let run = program(dir, &replay);
     let kept = format!("of its {points} points the review kept 2");
     answers(&run, 0, &["(proposed: not accepted in the review)", &kept]);

@@ -53,14 +53,15 @@ pub enum Edges {
 }
 
 /// Whether a model's cells have sides in other units than its heights, so that GDAL would take the one for the other;
-/// or, for aspects, whether its rows or columns run the other way, which GDAL overlooks.
+/// or, for aspects, whether its rows or columns run the other way, or its cells are no squares, which GDAL overlooks.
 ///
 /// # Errors
 /// When the model cannot be opened.
 pub fn needs_true_sides(model: &Path, picture: Picture) -> Result<bool> {
     let model = Model::open(model)?;
     let grid = model.grid();
-    if picture == Picture::Aspect && (grid.step_x < 0.0 || grid.step_y > 0.0) {
+    let is_square = (grid.step_x.abs() / grid.step_y.abs() - 1.0).abs() < 1e-6;
+    if picture == Picture::Aspect && (grid.step_x < 0.0 || grid.step_y > 0.0 || !is_square) {
         return Ok(true);
     }
     Ok(match model.ground_unit() {

@@ -505,7 +505,7 @@
     if (!edits.length) return;
     const text = JSON.stringify(Review.patch(D.source, edits, state), null, 2) + "\n";
     const url = URL.createObjectURL(new Blob([text], { type: "application/json" }));
-    const link = html("a", { href: url, download: beside(".patch.json") });
+    const link = html("a", { href: url, download: Review.beside(D.source, ".patch.json") });
     document.body.append(link);
     link.click();
     link.remove();
@@ -581,9 +581,6 @@
         html("thead", {}, html("tr", {}, ...t.header.map((c, k) => html("th", { scope: "col", class: kind(t.rows.length ? t.rows[0][k] : c, k) }, c)))),
         html("tbody", {}, ...t.rows.map((r) => html("tr", {}, ...r.map((c, k) => html("td", { class: kind(c, k) }, c)))))))))));
   }
-  // A name as a shell takes it for one word.
-  const quoted = (name) => (/^[\w.\/+:@%,=-]+$/.test(name) && !name.startsWith("-") ? name : name.startsWith("-") ? quoted(`./${name}`) : `'${name.replace(/'/g, "'\\''")}'`);
-  const beside = (ending) => D.source.replace(/(\.autoref)?\.json$/, "") + ending;
   function details() {
     const d = D.details, mib = (b) => `${(b / 1048576).toFixed(0)} MiB`, seconds = (v) => `${v.toFixed(2)} s`;
     const list = (rows) => html("dl", { class: "facts" }, ...rows.filter((r) => r && r[1] !== null && r[1] !== undefined && r[1] !== "").flatMap(([k, v]) => [html("dt", {}, k), html("dd", {}, v)]));
@@ -603,11 +600,9 @@
       [MODEL ? `Matrix, ${MODEL}` : "", D.chosen_model && D.chosen_model.matrix ? D.chosen_model.matrix.map((row) => row.join(", ")).join("; ") : null]]);
     const raw = html("details", { class: "noprint" }, html("summary", {}, "All options"), html("pre", {}, JSON.stringify(d.options, null, 1)));
     replace("details", html("div", { class: "columns" }, what, how), raw);
-    const reviewed = quoted(beside(".reviewed.json")), kinds = o.write && o.write.length ? ` --write ${o.write.join(",")}` : "";
-    const review = ` Changes made in it are saved as a patch. Its replay: autoref-stream solve ${quoted(D.source)} --patch ${quoted(beside(".patch.json"))} -o ${reviewed}`
-      + ` and then, since that changes no georeference: autoref-stream apply ${reviewed}${kinds}${D.image.apart ? " --out ." : ""} --overwrite`;
     // Without a mark on the page there is nothing to change.
-    byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing.${D.points.some((p, i) => shownAsCard(i)) ? review : ""}`;
+    const review = D.points.some((p, i) => shownAsCard(i)) ? Review.commands(D.source, o.write, D.image.apart) : "";
+    byId("foot").textContent = `${D.program}. This page is complete in itself and loads nothing.${review}`;
   }
 
   // Drawings again in the width that they have now.

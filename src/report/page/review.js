@@ -110,5 +110,16 @@ const Review = (() => {
     };
   }
 
-  return { initial, choices, applied, replayed, evaluate, patch };
+  // A name as a shell takes it for one word.
+  const quoted = (name) => (/^[\w.\/+:@%,=-]+$/.test(name) && !name.startsWith("-") ? name : name.startsWith("-") ? quoted(`./${name}`) : `'${name.replace(/'/g, "'\\''")}'`);
+  const beside = (source, ending) => source.replace(/(\.autoref)?\.json$/, "") + ending;
+  // How the patch is replayed, and how what that gives is written where the run wrote: `kinds` as `--write` had them,
+  // `apart` in another folder than the image's.
+  function commands(source, kinds, apart) {
+    const reviewed = quoted(beside(source, ".reviewed.json")), write = kinds && kinds.length ? ` --write ${kinds.join(",")}` : "";
+    return ` Changes made in it are saved as a patch. Its replay: autoref-stream solve ${quoted(source)} --patch ${quoted(beside(source, ".patch.json"))} -o ${reviewed}`
+      + ` and then, since that changes no georeference: autoref-stream apply ${reviewed}${write}${apart ? " --out ." : ""} --overwrite`;
+  }
+
+  return { initial, choices, applied, replayed, evaluate, patch, beside, commands };
 })();

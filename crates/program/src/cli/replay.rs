@@ -50,7 +50,7 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     }
     let crs = recorded.crs.as_deref().map(Crs::parse).transpose()?;
     let list = GcpList { gcps: recorded.gcps.clone(), crs, working_crs: WorkingCrs::local(), notes, hints: Vec::new() };
-    let mut outcome = outcome(replayed);
+    let mut outcome = outcome(replayed, &recorded);
     accuracy::check_nssda(&args.gcps.accuracy, &list)?;
     let mut document = document(args, &recorded, &list, &outcome);
     if differs(&patch, document.result.geotransform().map(|g| g.0)) {
@@ -90,11 +90,12 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
     Ok(document.exit_code())
 }
 
-fn outcome(replayed: Replayed) -> Outcome {
+fn outcome(replayed: Replayed, recorded: &RunResult) -> Outcome {
     match replayed {
         Replayed::Solved(orientation) => Outcome::Solved(orientation),
         Replayed::Unsolvable { points } => Outcome::Refused(Box::new(Evidence {
-            diagnoses: Vec::new(),
+            // A review of what is written of this one must not forget them.
+            diagnoses: recorded.diagnoses.clone(),
             reason: format!(
                 "the review leaves {}; an orientation needs 2 in different places",
                 counted(points, "point", "points")

@@ -273,9 +273,13 @@ fn full(result: &RunResult, lines: &mut Lines) {
         }
     }
     if let Some(log10) = result.log10_false_alarms {
-        let of_run = result
-            .run_pattern
-            .map_or(String::new(), |pattern| format!(", by the run's {}", counted(pattern.points, "point", "points")));
+        let of_run = result.run_pattern.map_or(String::new(), |pattern| {
+            format!(
+                ", by the run's {}, of which the review kept {}",
+                counted(pattern.points, "point", "points"),
+                pattern.kept
+            )
+        });
         line("False alarms", format!("{} such patterns expected by chance{of_run}", expected(log10)));
     }
     if let Some(names) = result.solved().and_then(|run| run.names.as_ref()) {
