@@ -215,7 +215,8 @@ fn aspects_do_not_depend_on_how_rows_run() {
     assert!(gradient::needs_true_sides(&south_up, Picture::Aspect).expect("a model"));
     // GDAL's aspect divides by no side of a cell.
     let oblong = model(&folder.path().join("o.tif"), "EPSG:32633", hills(0.0, 0.0), -25.0);
-    let needs = [Picture::Aspect, Picture::SlopeDegrees].map(|p| gradient::needs_true_sides(&oblong, p).expect("a model"));
+    let needs =
+        [Picture::Aspect, Picture::SlopeDegrees].map(|p| gradient::needs_true_sides(&oblong, p).expect("a model"));
     assert_eq!(needs, [true, false]);
     let (plain, own) = (folder.path().join("a.tif"), folder.path().join("b.tif"));
     let drawing = derive::Drawing { kind: "aspect", options: Vec::new(), colours: None, memory_budget_bytes: MEMORY };
