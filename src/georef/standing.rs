@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use crate::georef::beneath;
 use crate::georef::sidecar;
+use crate::georef::tags;
 use crate::georef::write::WriteRequest;
 use crate::result::RunResult;
 use autoref_raster::bounded;
 use autoref_raster::coords::GeoTransform;
+use autoref_raster::protected::same_file;
 
 /// The files of earlier runs that are still there: those that the earlier result has on record, and beside the image
 /// those that hold the georeference `written` by an earlier run. Asked before that result is replaced.
@@ -17,11 +19,18 @@ pub fn standing(request: &WriteRequest, written: Option<&GeoTransform>) -> Vec<P
     let earlier = result.is_file().then(|| RunResult::read(&result).ok()).flatten();
     let recorded = earlier.iter().flat_map(|earlier| earlier.files_written.iter().chain(&earlier.files_standing));
     let on_record = recorded.filter(|name| !is_told_anew(name)).filter_map(|name| {
-        let name = Path::new(name);
         // Names count from where that run was started, and its files lie beside its result.
-        [folder.join(name.file_name()?), name.to_path_buf()].into_iter().find(|path| path.is_file())
+        Some(folder.join(Path::new(name).file_name()?)).filter(|path| path.is_file())
     });
-    let mut all: Vec<PathBuf> = on_record.collect();
+    // The image and what lies beside it may be another's by now: there the georeference itself tells.
+    let may_be_others = |path: &PathBuf| {
+        let image = &request.image;
+        same_file(path, image)
+            || same_file(path, &sidecar::world_file_path(image))
+            || same_file(path, &sidecar::aux_path(image))
+    };
+    let tagged = tags::is_tagged(&request.image).then(|| request.image.clone());
+    let mut all: Vec<PathBuf> = tagged.into_iter().chain(on_record.filter(|path| !may_be_others(path))).collect();
     let beside = written.map(|written| beside_the_image(&request.image, written)).unwrap_or_default();
     all.extend(beside);
     let mut unique: Vec<PathBuf> = Vec::new();

@@ -57,12 +57,18 @@ fn open_special(path: &Path) -> std::io::Result<std::fs::File> {
             fcntl_setfl(&file, fcntl_getfl(&file)? - OFlags::NONBLOCK)?;
             Ok(file)
         }
-        Err(error) if error.raw_os_error() == Some(rustix::io::Errno::NXIO.raw_os_error()) => {
+        // A socket says the same, and no waiting helps.
+        Err(error) if error.raw_os_error() == Some(rustix::io::Errno::NXIO.raw_os_error()) && is_fifo(path) => {
             tracing::warn!("{}: waiting for a program that reads from it", path.display());
             std::fs::OpenOptions::new().write(true).open(path)
         }
         Err(error) => Err(error),
     }
+}
+
+fn is_fifo(path: &Path) -> bool {
+    use std::os::unix::fs::FileTypeExt;
+    std::fs::metadata(path).is_ok_and(|found| found.file_type().is_fifo())
 }
 
 /// Lets `produce` make a file under a temporary name in the same folder, then renames it to `path`. The extension is
@@ -81,10 +87,11 @@ pub fn with_temporary(path: &Path, produce: impl FnOnce(&Path) -> Result<()>) ->
     parts.iter().try_for_each(|end| refuse_input(&path.with_extension(end)))?;
     let result = watched(&temporary, || produce(&temporary)).and_then(|()| {
         let mut together = Transaction::new();
-        together.adopt(&temporary, path);
         for end in parts.iter().filter(|end| temporary.with_extension(end).exists()) {
             together.adopt(&temporary.with_extension(end), &path.with_extension(end));
         }
+        // What the parts belong to comes last.
+        together.adopt(&temporary, path);
         together.commit()
     });
     if result.is_err() {
@@ -289,8 +296,7 @@ impl Transaction {
         let is_written = |path: &Path| self.staged.iter().any(|staged| staged.target == path);
         let old = self.staged.iter().map(|staged| Aside::take(&staged.target, is_written));
         let old: Vec<Aside> = old.collect::<Result<_>>()?;
-        // What others belong to was staged before them, and comes after them.
-        for staged in self.staged.iter_mut().rev() {
+        for staged in &mut self.staged {
             std::fs::rename(&staged.temporary, &staged.target)
                 .map_err(|e| Error::io(&staged.target, "put in place", e))?;
             staged.in_place = true;

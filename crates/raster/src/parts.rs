@@ -35,15 +35,18 @@ pub(crate) fn leftovers(output: &Path) -> impl Iterator<Item = Leftover> {
     let folder = output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::read_dir(folder).into_iter().flatten().flatten().filter_map(|entry| {
         let name = entry.file_name().to_string_lossy().into_owned();
-        let (stem, end) = name.strip_prefix('.')?.rsplit_once(".part")?;
-        let (stem, process) = stem.rsplit_once('.')?;
+        // The number stands before it: names of files may have the word in them.
+        let name = name.strip_prefix('.')?;
+        let (stem, process, end) = name.match_indices(".part").find_map(|(at, word)| {
+            let (stem, process) = name[..at].rsplit_once('.')?;
+            Some((stem, process.parse::<u32>().ok()?, &name[at + word.len()..]))
+        })?;
         if !(end.is_empty() || end.starts_with('.')) {
             return None;
         }
         let was = end.strip_suffix(BEFORE).map(|end| output.with_file_name(format!("{stem}{end}")));
         // Without /proc nobody can say whether the process lives.
-        let has_ended = Path::new("/proc/self").exists()
-            && process.parse::<u32>().is_ok_and(|id| !Path::new(&format!("/proc/{id}")).exists());
+        let has_ended = Path::new("/proc/self").exists() && !Path::new(&format!("/proc/{process}")).exists();
         has_ended.then(|| Leftover { path: entry.path(), stem: stem.to_string(), was })
     })
 }

@@ -85,12 +85,13 @@ pub fn inside_name(name: &Path) -> Vec<PathBuf> {
     let bytes = name.as_os_str().as_bytes();
     let path = |part: &[u8]| PathBuf::from(std::ffi::OsString::from_vec(part.to_vec()));
     // A file's own name may hold what cuts names apart, so that all that lies between two cuts is tried; of long names,
-    // which are descriptions in XML, the pieces alone.
+    // which are descriptions in XML, few.
     const MOST_CUTS: usize = 24;
+    const FEW_CUTS: usize = 6;
     let is_cut = |b: &u8| b":\"?{},@=<>;&|'".contains(b);
     let cuts = bytes.iter().enumerate().filter(|(_, b)| is_cut(b)).map(|(at, _)| at);
     let ends: Vec<usize> = cuts.chain([bytes.len()]).collect();
-    let reach = if ends.len() > MOST_CUTS { 1 } else { ends.len() };
+    let reach = if ends.len() > MOST_CUTS { FEW_CUTS } else { ends.len() };
     let begins = std::iter::once(0).chain(ends.iter().map(|at| at + 1)).enumerate();
     let between = begins.flat_map(|(k, begin)| ends.iter().skip(k).take(reach).map(move |&end| (begin, end)));
     // `vrt://a.tif` names a file of this folder.

@@ -23,10 +23,13 @@ pub fn sidecars(input: &Path) -> Vec<PathBuf> {
     appended.chain(either_case(ends).map(|end| input.with_extension(end))).filter(|name| name != input).collect()
 }
 
-/// Whether `name` is that of a companion of `file`, by the ends that follow the name of any raster.
+/// Whether `name` is one that a companion of `file` may have, whether it is there or not.
 pub(crate) fn is_called_companion(name: &Path, file: &Path) -> bool {
     let rest = name.as_os_str().as_encoded_bytes().strip_prefix(file.as_os_str().as_encoded_bytes());
-    rest.is_some_and(|rest| either_case(APPENDED).any(|end| rest.starts_with(end.as_bytes())))
+    let ends = either_case(APPENDED).chain(OF_DATABASES.iter().map(|end| (*end).to_string()));
+    let is_part = || extension(file) == "shp" && name.file_stem() == file.file_stem();
+    rest.is_some_and(|rest| ends.into_iter().any(|end| rest.starts_with(end.as_bytes())))
+        || is_part() && OF_SHAPES.contains(&extension(name).as_str())
 }
 
 /// Ends of the files without which a file of this ending cannot be read: those of a shapefile.

@@ -166,13 +166,14 @@ pub fn analyse(residuals: &[Residual], tail_cut: f64) -> Analysis {
             Some([r.e_m.hypot(r.n_m).hypot(error), east.hypot(north).hypot(height - level)])
         })
         .collect();
-    let directions: Vec<[f64; 2]> = residuals
-        .iter()
-        .map(|r| {
-            let (east, north) = outward(r);
-            [r.n_m.atan2(r.e_m), north.atan2(east)]
-        })
-        .collect();
+    let direction = |r: &Residual| {
+        let (east, north) = outward(r);
+        [r.n_m.atan2(r.e_m), north.atan2(east)]
+    };
+    let directions: Vec<[f64; 2]> = residuals.iter().map(direction).collect();
+    // A point in the centre, or one that fits to the last bit, lies along nothing.
+    let has_direction = |r: &&Residual| r.e_m.hypot(r.n_m) > 0.0 && outward(r) != (0.0, 0.0);
+    let with_direction: Vec<[f64; 2]> = residuals.iter().filter(has_direction).map(direction).collect();
     let angles: Vec<f64> = directions.iter().map(|d| d[0]).collect();
     let component = |values: &[f64]| {
         let kept = without_tails(values, tail_cut);
@@ -186,7 +187,11 @@ pub fn analyse(residuals: &[Residual], tail_cut: f64) -> Analysis {
         easting: component(&values(&|r| Some(r.e_m))),
         northing: component(&values(&|r| Some(r.n_m))),
         height: (!in_space.is_empty()).then(|| component(&in_space)),
-        directions: Directions { sectors: sectors(&angles), favoured: favoured(&angles), radial: radial(&directions) },
+        directions: Directions {
+            sectors: sectors(&angles),
+            favoured: favoured(&angles),
+            radial: radial(&with_direction),
+        },
         correlations: Correlations {
             magnitude_distance_2d: correlation(&pairs_without_tails(&plan, tail_cut)),
             magnitude_distance_3d: correlation(&pairs_without_tails(&space, tail_cut)),

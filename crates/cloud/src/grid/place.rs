@@ -37,13 +37,13 @@ impl Place {
         let axis = crs.as_ref().and_then(Crs::height_metres_per_unit);
         let has_heights = options.dimensions.iter().any(|dimension| dimension.name == "z");
         let stated = header.las.as_ref().map_or(Ok(None), io::LasHeader::height_unit);
-        if let (Err(code), true) = (stated, has_heights) {
+        let height_unit = stated.ok().flatten().or_else(|| named(axis?));
+        if let (Err(code), true, None) = (stated, has_heights, height_unit) {
             notes.push(format!(
                 "heights count in a unit with the code EPSG:{code} (VerticalUnitsGeoKey), which has no name among those of \
                  bands: `dem` will take those of z for metres"
             ));
         }
-        let height_unit = stated.ok().flatten().or_else(|| named(axis?).filter(|_| stated.is_ok()));
         let in_metres = crs.as_ref().is_none_or(|crs| crs.metres_per_unit() == 1.0);
         if height_unit.is_none() && stated.is_ok() && !in_metres && has_heights {
             notes.push(format!(

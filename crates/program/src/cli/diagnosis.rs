@@ -100,7 +100,8 @@ fn fits_without(options: &str, pattern: &Pattern) -> String {
 /// A solution whose whole list is plainly mistaken is refused, unless the mistake was named: it would be written wrong.
 pub fn refuse_mistakes(outcome: &mut Outcome, forced: &[Force]) {
     let Outcome::Solved(orientation) = outcome else { return };
-    let is_forced = |diagnosis: &Diagnosis| Force::of(diagnosis.mistake).is_some_and(|name| forced.contains(&name));
+    // What no name lets pass (a mirrored image) is no mistake of the list's coordinates: the verdict says it.
+    let is_forced = |diagnosis: &Diagnosis| Force::of(diagnosis.mistake).is_none_or(|name| forced.contains(&name));
     let plain = orientation.diagnoses.iter().find(|diagnosis| diagnosis.condemns_list() && !is_forced(diagnosis));
     let Some(plain) = plain else { return };
     let advice = match Force::of(plain.mistake) {

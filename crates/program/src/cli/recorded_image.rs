@@ -44,13 +44,13 @@ fn seen_from(folder: &Path, home: &Path) -> PathBuf {
 }
 
 /// The command that writes the georeference of a result where its run wrote it.
-pub fn apply_command(path: &Path, result: &RunResult) -> String {
+/// `run_folder`: where its run laid its outputs, when that was not beside the image.
+pub fn apply_command(path: &Path, result: &RunResult, run_folder: Option<&Path>) -> String {
     let kinds = result.options.get("write").and_then(serde_json::Value::as_array).into_iter().flatten();
     let kinds: Vec<&str> = kinds.filter_map(serde_json::Value::as_str).collect();
     let write = if kinds.is_empty() { String::new() } else { format!(" --write {}", kinds.join(",")) };
-    let is_apart = result.image.as_ref().is_some_and(|image| image.from_result.is_some());
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let out = if is_apart { format!(" --out {}", quoted(folder)) } else { String::new() };
+    let of_run = |folder: &Path| if folder.as_os_str().is_empty() { Path::new(".") } else { folder }.to_path_buf();
+    let out = run_folder.map_or(String::new(), |folder| format!(" --out {}", quoted(&of_run(folder))));
     format!("autoref-stream apply {}{write}{out} --overwrite", quoted(path))
 }
 

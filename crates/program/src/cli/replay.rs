@@ -81,11 +81,16 @@ pub fn run(args: &SolveArgs, patch_path: &Path, started: Instant) -> anyhow::Res
         crate::out::write_text(output, document.result.to_json().as_bytes(), Existing::of_flag(args.overwrite))?;
     }
     run::print(&document.result, run::Printing { json: args.json, quiet: args.quiet });
-    if let Some(output) = args.output.as_deref().filter(|_| !args.json && !args.quiet)
+    // A pipe cannot be read again.
+    let is_kept = |output: &&Path| output.is_file() && !args.json && !args.quiet;
+    if let Some(output) = args.output.as_deref().filter(is_kept)
         && document.result.solved().is_some()
     {
+        // A run that was not laid beside its image has its result where its outputs are.
+        let is_apart = recorded.image.as_ref().is_some_and(|image| image.from_result.is_some());
+        let run_folder = args.candidates.parent().filter(|_| is_apart);
         // The result alone is written yet, and the image keeps the georeference that it had.
-        println!("{:<16}{}", "To write it", crate::printable(&apply_command(output, &document.result)));
+        println!("{:<16}{}", "To write it", crate::printable(&apply_command(output, &document.result, run_folder)));
     }
     Ok(document.exit_code())
 }
