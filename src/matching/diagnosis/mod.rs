@@ -81,8 +81,10 @@ pub struct Diagnosis {
 
 impl Diagnosis {
     /// Whether it speaks against the whole list and chance hardly explains it: what follows from the list lies wrong.
+    /// Exchanged axes and mirrored images are told, and leave the marks where they are.
     pub fn condemns_list(&self) -> bool {
-        self.certainty == Certainty::Claimed && self.gcps.is_empty()
+        let is_told = matches!(self.mistake, Mistake::EastingNorthingSwapped | Mistake::MirroredImage);
+        self.certainty == Certainty::Claimed && self.gcps.is_empty() && !is_told
     }
 }
 

@@ -10,7 +10,7 @@ use autoref_raster::crs::{Coordinate, Crs};
 use autoref_raster::error::Error;
 use autoref_stream::candidate::Candidate;
 use autoref_stream::gcp::GcpList;
-use autoref_stream::matching::diagnosis::{Certainty, Diagnosis, KnownPlace, exchanged_labels};
+use autoref_stream::matching::diagnosis::{Certainty, KnownPlace, exchanged_labels};
 use autoref_stream::matching::{Evidence, MatchOutcome, Matcher, Pattern, Priors, RobustMatcher, TimeLimit};
 use autoref_stream::pipeline::georeference::{Outcome, Surroundings, diagnose};
 
@@ -100,17 +100,16 @@ fn fits_without(options: &str, pattern: &Pattern) -> String {
 /// A solution whose whole list is plainly mistaken is refused, unless the mistake was named: it would be written wrong.
 pub fn refuse_mistakes(outcome: &mut Outcome, forced: &[Force]) {
     let Outcome::Solved(orientation) = outcome else { return };
-    // What no name lets pass (a mirrored image) is no mistake of the list's coordinates: the verdict says it.
-    let is_forced = |diagnosis: &Diagnosis| Force::of(diagnosis.mistake).is_none_or(|name| forced.contains(&name));
-    let plain = orientation.diagnoses.iter().find(|diagnosis| diagnosis.condemns_list() && !is_forced(diagnosis));
-    let Some(plain) = plain else { return };
-    let advice = match Force::of(plain.mistake) {
-        Some(name) => vec![
-            "give the --crs that the list is in, or mend the list".into(),
-            format!("to go on in spite of it: --force {}", name.name()),
-        ],
-        None => vec!["mend that, and run again".into()],
-    };
+    // What has no name there (a mirrored image) refuses nothing: the verdict says it.
+    let plain = orientation.diagnoses.iter().filter(|diagnosis| diagnosis.condemns_list()).find_map(|diagnosis| {
+        let name = Force::of(diagnosis.mistake).filter(|name| !forced.contains(name))?;
+        Some((diagnosis, name))
+    });
+    let Some((plain, name)) = plain else { return };
+    let advice = vec![
+        "give the --crs that the list is in, or mend the list".into(),
+        format!("to go on in spite of it: --force {}", name.name()),
+    ];
     *outcome = Outcome::Refused(Box::new(Evidence {
         reason: plain.message.clone(),
         advice,
